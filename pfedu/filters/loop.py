@@ -1,0 +1,207 @@
+"""The one loop of all particle filters: propose, weigh, estimate, resample.
+
+A filter is a proposal and a weight. Everything else (carrying weights on, the log-likelihood,
+estimates, N_eff, resampling, missing measurements, many runs at once) is here, written once.
+"""
+
+import numpy as np
+
+from pfedu.resampling import scheme
+from pfedu.track import Track, read_record
+from pfedu.weights import ZeroLikelihoodError, normalize, weighted_cov, weighted_mean
+
+
+def particle_filter(propose, model, y, n_particles, *, rng, resampling, policy, keep=False, n_runs=None):
+    """Run a particle filter over a record.
+
+    Parameters
+    ----------
+    propose : callable
+        ``(k, y, x, rng) -> (x, log_g)``: particles (..., N, n_x) of time k drawn from those of time
+        k-1, and what their weights (..., N) are multiplied by. Not called where no run has a
+        measurement; the particles are then propagated by the model.
+    model : StateSpaceModel
+    y : array_like, shape (..., T+1, n_y)
+        Measurements; a row of NaN is missing: predicted over, not corrected, not resampled.
+    n_particles : int
+        N, at least 1.
+    rng : numpy.random.Generator
+        Two generators are spawned off it, one that moves particles and one that picks them: the
+        noise that moves them does not depend on how or when they are resampled.
+    resampling : str or callable
+        A scheme of :mod:`pfedu.resampling`.
+    policy : callable
+        When to resample: :class:`~pfedu.resampling.ratio` or :class:`~pfedu.resampling.interval`.
+    keep : bool
+        Keep particles, log weights and ancestors of each step.
+    n_runs : int, optional
+        Filter the same record that many times, independently.
+
+    Returns
+    -------
+    Track
+
+    Raises
+    ------
+    ValueError
+        If an argument has the wrong shape or value.
+    ZeroLikelihoodError
+        If no particle of a run can explain a measurement; the message gives the step.
+    """
+    y, missing = read_record(y, model.n_y)
+    if n_runs is not None:
+        y, missing = np.broadcast_to(y, (n_runs, *y.shape)), np.broadcast_to(missing, (n_runs, *missing.shape))
+    pick, runs = scheme(resampling), y.shape[:-2]
+    rng_move, rng_pick = _generators(rng)
+    x = _start(model, runs, n_particles, rng_move)
+    log_w = np.full(x.shape[:-1], -np.log(n_particles))
+    ancestors = np.broadcast_to(np.arange(n_particles), log_w.shape)
+    count = np.zeros(runs, dtype=int)  # corrections so far
+    steps = []
+    for k in range(y.shape[-2]):
+        # Propose and weigh
+        x, log_g = advance(propose, model, k, y[..., k, :], missing[..., k], x, rng_move)
+        log_w, increment = reweight(log_w, log_g, k)
+        # Estimate, before resampling adds its noise
+        n_eff = 1.0 / np.exp(2.0 * log_w).sum(axis=-1)
+        step = (weighted_mean(x, log_w), weighted_cov(x, log_w), increment, n_eff)
+        kept = (x, log_w, ancestors) if keep else (None, None, None)
+        # Resample
+        count = count + ~missing[..., k]
+        due = policy(n_eff, n_particles, count) & ~missing[..., k]
+        x, log_w, ancestors = resample(x, log_w, due, pick, rng_pick)
+        steps.append((*step, due, *kept))
+    return _track(steps, len(runs))
+
+
+def advance(propose, model, k, y, missing, x, rng):
+    """Particles of time k and the factors of their weights.
+
+    Parameters
+    ----------
+    propose : callable
+        ``(k, y, x, rng) -> (x, log_g)``.
+    model : StateSpaceModel
+    k : int
+        Time; at 0 the particles stay where the prior put them.
+    y : ndarray, shape (..., n_y)
+    missing : ndarray of bool, shape (...)
+    x : ndarray, shape (..., N, n_x)
+    rng : numpy.random.Generator
+
+    Returns
+    -------
+    x : ndarray, shape (..., N, n_x)
+    log_g : ndarray, shape (..., N)
+        Zero for a run whose measurement is missing.
+
+    Raises
+    ------
+    ValueError
+        If the model gives back the wrong shape.
+    """
+    if missing.all():
+        new = model.propagate(k, x, rng) if k > 0 else x
+        log_g = np.zeros(x.shape[:-1])
+    elif k == 0:
+        new, log_g = x, model.log_likelihood(k, y[..., None, :], x)
+    else:
+        new, log_g = propose(k, y[..., None, :], x, rng)
+    if np.shape(new) != x.shape:
+        raise ValueError(f"step {k}: propagate must keep the shape {x.shape} of the particles, it gave {np.shape(new)}")
+    if np.shape(log_g) != x.shape[:-1]:
+        raise ValueError(f"step {k}: log_likelihood must give one value a particle, shape {x.shape[:-1]}, "
+                         f"it gave {np.shape(log_g)}")  # fmt: skip
+    return new, np.where(missing[..., None], 0.0, log_g)
+
+
+def reweight(log_w, log_g, k):
+    r"""Multiply carried weights by new factors and normalise.
+
+    .. math:: \log p(y_k \mid Y_{k-1}) \approx \log \sum_i w_{k-1}^{(i)} g^{(i)}
+
+    Parameters
+    ----------
+    log_w : ndarray, shape (..., N)
+        Normalised log weights carried over from the step before.
+    log_g : ndarray, shape (..., N)
+        Log of the factors.
+    k : int
+        Time, for the error.
+
+    Returns
+    -------
+    log_w : ndarray, shape (..., N)
+        Normalised.
+    increment : ndarray, shape (...)
+        Log-likelihood increment.
+
+    Raises
+    ------
+    ZeroLikelihoodError
+        If all weights of a run became zero.
+    ValueError
+        If a factor is NaN.
+    """
+    try:
+        return normalize(log_w + log_g)
+    except ZeroLikelihoodError as error:
+        raise ZeroLikelihoodError(
+            f"step {k}: every particle has likelihood zero. The measurement lies where no particle is: use more "
+            "particles, a wider prior or process noise, a measurement noise with heavier tails, or check its units"
+        ) from error
+    except ValueError as error:
+        raise ValueError(f"step {k}: log_likelihood gave a value that is no weight ({error})") from error
+
+
+def resample(x, log_w, due, pick, rng):
+    """Resample the runs that are due; the others keep particles and weights.
+
+    Parameters
+    ----------
+    x : ndarray, shape (..., N, n_x)
+    log_w : ndarray, shape (..., N)
+        Normalised log weights.
+    due : ndarray of bool, shape (...)
+    pick : callable
+        A scheme of :mod:`pfedu.resampling`.
+    rng : numpy.random.Generator
+
+    Returns
+    -------
+    x : ndarray, shape (..., N, n_x)
+    log_w : ndarray, shape (..., N)
+        1/N each in a run that was resampled.
+    ancestors : ndarray of int, shape (..., N)
+    """
+    n = log_w.shape[-1]
+    own = np.broadcast_to(np.arange(n), log_w.shape)
+    if not due.any():
+        return x, log_w, own
+    ancestors = np.where(due[..., None], pick(np.exp(log_w), rng), own)
+    x = np.take_along_axis(x, ancestors[..., None], axis=-2)
+    return x, np.where(due[..., None], -np.log(n), log_w), ancestors
+
+
+def _generators(rng):
+    if not isinstance(rng, np.random.Generator):
+        raise TypeError(f"rng must be a numpy.random.Generator, e.g. numpy.random.default_rng(1); got {rng!r}")
+    return rng.spawn(2)
+
+
+def _start(model, runs, n, rng):
+    """Particles from p(x_0): (*runs, N, n_x)."""
+    if n != int(n) or n < 1:
+        raise ValueError(f"n_particles must be a whole number of at least 1, got {n}")
+    total = int(np.prod(runs)) * n
+    x = np.asarray(model.sample_initial(total, rng), dtype=float)
+    if x.shape != (total, model.n_x):
+        raise ValueError(f"sample_initial({total}, rng) must give shape ({total}, {model.n_x}), it gave {x.shape}")
+    return x.reshape(*runs, n, model.n_x)
+
+
+def _track(steps, axis):
+    """Stack the steps along the time axis, which follows the runs."""
+    columns = [None if c[0] is None else np.stack(c, axis) for c in zip(*steps, strict=True)]
+    mean, cov, increments, n_eff, resampled, particles, log_weights, ancestors = columns
+    return Track(mean, cov, increments, n_eff, resampled, particles, log_weights, ancestors)

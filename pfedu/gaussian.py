@@ -1,0 +1,201 @@
+"""Gaussian noise: square roots of covariances, sampling and log density.
+
+A covariance may be given as a scalar variance, a vector of variances (a diagonal) or a matrix.
+N(m, P) always states a *variance*, never a standard deviation.
+"""
+
+import numpy as np
+
+_LOG_2PI = np.log(2.0 * np.pi)
+
+
+def as_cov(cov, name="cov"):
+    """Covariance matrix from a scalar, a vector of variances or a matrix.
+
+    Parameters
+    ----------
+    cov : array_like, shape (), (n,) or (..., n, n)
+        Variances in squared units of the variable.
+    name : str
+        What to call it in an error.
+
+    Returns
+    -------
+    ndarray, shape (n, n) or (..., n, n)
+
+    Raises
+    ------
+    ValueError
+        If it is not square, not finite or not symmetric.
+
+    Examples
+    --------
+    >>> from pfedu.gaussian import as_cov
+    >>> as_cov([1.0, 4.0]).tolist()
+    [[1.0, 0.0], [0.0, 4.0]]
+    """
+    cov = np.asarray(cov, dtype=float)
+    if cov.ndim < 2:
+        cov = np.diag(np.atleast_1d(cov))
+    if cov.shape[-1] != cov.shape[-2]:
+        raise ValueError(f"{name} must be a scalar, a vector of variances or a square matrix, got shape {cov.shape}")
+    if not np.isfinite(cov).all():
+        raise ValueError(f"{name} has an entry that is not finite: {cov.tolist()}")
+    if not np.allclose(cov, np.swapaxes(cov, -1, -2), rtol=1e-8, atol=1e-12 * np.abs(cov).max(initial=0.0)):
+        raise ValueError(f"{name} is not symmetric: {cov.tolist()}")
+    return cov
+
+
+def sqrt_cov(cov, name="cov"):
+    r"""A matrix S with :math:`S S^\top = P`, also for a singular P.
+
+    The Cholesky factor where there is one, else the eigenvector root, so that a state known exactly
+    (variance zero) needs no special case.
+
+    Parameters
+    ----------
+    cov : array_like, shape (), (n,) or (..., n, n)
+        Covariance, positive semi-definite.
+    name : str
+        What to call it in an error.
+
+    Returns
+    -------
+    ndarray, shape (..., n, n)
+
+    Raises
+    ------
+    ValueError
+        If the covariance has a negative eigenvalue (beyond rounding), with that eigenvalue.
+
+    Examples
+    --------
+    >>> from pfedu.gaussian import sqrt_cov
+    >>> sqrt_cov([9.0, 0.0]).tolist()
+    [[3.0, 0.0], [0.0, 0.0]]
+    """
+    cov = as_cov(cov, name)
+    try:
+        return np.linalg.cholesky(cov)
+    except np.linalg.LinAlgError:
+        values, vectors = np.linalg.eigh(cov)
+    if (values < -1e-10 * np.abs(values).max()).any():
+        raise ValueError(f"{name} is not positive semi-definite: smallest eigenvalue {values.min():.3g}")
+    if not (cov * (1.0 - np.eye(cov.shape[-1]))).any():  # diagonal: keep it readable
+        return np.sqrt(np.clip(cov, 0.0, None))
+    return vectors * np.sqrt(np.clip(values, 0.0, None))[..., None, :]
+
+
+class Gaussian:
+    r"""Zero-mean Gaussian noise N(0, P), factored once and then used at every step.
+
+    Parameters
+    ----------
+    cov : array_like, shape (), (n,) or (n, n)
+        Covariance P, positive semi-definite, in squared units of the variable.
+    name : str
+        What to call it in an error.
+
+    Raises
+    ------
+    ValueError
+        If the covariance is not positive semi-definite.
+
+    Examples
+    --------
+    >>> from pfedu.gaussian import Gaussian
+    >>> noise = Gaussian(4.0)
+    >>> noise.sample((3,), np.random.default_rng(1)).shape
+    (3, 1)
+    >>> round(float(noise.log_density(np.array([2.0]))), 4)
+    -2.1121
+    """
+
+    def __init__(self, cov, name="cov"):
+        self.name = name
+        self.cov = as_cov(cov, name)
+        if self.cov.ndim != 2:
+            raise ValueError(f"{name} must be one matrix (n, n), got shape {self.cov.shape}")
+        self.n = self.cov.shape[-1]
+        self.root = sqrt_cov(self.cov, name)
+        diagonal = np.diag(self.root)
+        self.is_singular = not np.array_equal(self.root, np.tril(self.root)) or (diagonal <= 0).any()
+        if not self.is_singular:
+            self._whiten = np.linalg.inv(self.root)
+            self._log_norm = -0.5 * self.n * _LOG_2PI - np.log(diagonal).sum()
+
+    def sample(self, shape, rng):
+        """Draw noise.
+
+        Parameters
+        ----------
+        shape : tuple of int
+            Leading axes, one vector for each.
+        rng : numpy.random.Generator
+
+        Returns
+        -------
+        ndarray, shape (*shape, n)
+        """
+        z = rng.standard_normal((*shape, self.n))
+        return z * self.root[0, 0] if self.n == 1 else z @ self.root.T
+
+    def log_density(self, d):
+        """Log density at deviation ``d`` from the mean.
+
+        Parameters
+        ----------
+        d : ndarray, shape (..., n)
+
+        Returns
+        -------
+        ndarray, shape (...)
+
+        Raises
+        ------
+        ValueError
+            If the covariance is singular: it then has no density.
+        """
+        if self.is_singular:
+            raise ValueError(f"{self.name} is singular and has no density: {self.cov.tolist()}")
+        if self.n == 1:
+            z = d[..., 0] * self._whiten[0, 0]
+            return self._log_norm - 0.5 * (z * z)
+        z = d @ self._whiten.T
+        return self._log_norm - 0.5 * np.sum(z * z, axis=-1)
+
+
+def log_density(x, mean, cov):
+    r"""Log of the Gaussian density N(x; m, P), one or many at a time.
+
+    Parameters
+    ----------
+    x, mean : array_like, shape (..., n)
+        Point and mean, in the same units.
+    cov : array_like, shape (), (n,) or (..., n, n)
+        Covariance, positive definite.
+
+    Returns
+    -------
+    ndarray, shape (...)
+
+    Raises
+    ------
+    ValueError
+        If the covariance is not positive definite.
+
+    Examples
+    --------
+    >>> from pfedu.gaussian import log_density
+    >>> round(float(log_density([1.0], [0.0], 1.0)), 4)
+    -1.4189
+    """
+    d = np.asarray(x, dtype=float) - np.asarray(mean, dtype=float)
+    cov = as_cov(cov)
+    try:
+        root = np.linalg.cholesky(cov)
+    except np.linalg.LinAlgError as error:
+        raise ValueError(f"cov is not positive definite: {cov.tolist()}") from error
+    z = np.linalg.solve(root, d[..., None])[..., 0]
+    log_det = np.log(np.diagonal(root, axis1=-2, axis2=-1)).sum(axis=-1)
+    return -0.5 * np.sum(z * z, axis=-1) - log_det - 0.5 * d.shape[-1] * _LOG_2PI
