@@ -1,0 +1,185 @@
+"""Explorer of chapter 3: the SIR filter beside the exact answer, for two models."""
+
+from functools import lru_cache
+
+import numpy as np
+
+import pfedu
+from pfedu.explorers.controls import Choice, Seed, Slider, geometric
+from pfedu.explorers.explorer import Explorer, Shown
+from pfedu.figures.density import particle_histogram
+from pfedu.figures.style import COLORS
+from pfedu.resampling import SCHEMES, always, interval, never, ratio, systematic
+
+T = 50
+DOTS = 60  # dots a time step that stand for the particles
+GRID = np.linspace(-50.0, 50.0, 401)
+MODELS = {"growth model": pfedu.models.growth, "random walk": pfedu.models.random_walk}
+POLICIES = ("ratio", "always", "every 5th step", "never")
+
+CONTROLS = (
+    Choice("model", "model", tuple(MODELS), "growth model"),
+    Slider("N", "particles N", geometric(10, 5000, 28), 500),
+    Slider("q", "process noise variance q", geometric(1.0, 40.0, 17), 10.0),
+    Slider("r", "measurement noise variance r", geometric(0.5, 20.0, 17), 1.0),
+    Choice("scheme", "resampling scheme", tuple(sorted(SCHEMES)), "systematic"),
+    Choice("policy", "resampling policy", POLICIES, "ratio"),
+    Slider("threshold", "threshold of the ratio policy", tuple(i / 10 for i in range(11)), 0.5),
+    Slider("k", "time step k", range(T + 1), 22, drawn=18),
+    Seed("data", "new data"),
+    Seed("particles", "new particles"),
+)
+
+
+@lru_cache(maxsize=16)
+def _record(model, q, r, data):
+    """Truth, record without its first row, and the exact posterior."""
+    system = MODELS[model](q=q, r=r)
+    x, y = system.simulate(T, np.random.default_rng(data))
+    y[0] = np.nan  # the lecture's convention: the first measurement is not used
+    exact = pfedu.kalman_filter(system, y) if hasattr(system, "F") else pfedu.grid_filter(system, y, GRID)
+    return system, x, y, exact
+
+
+@lru_cache(maxsize=4)
+def _filter(model, q, r, data, N, scheme, policy, threshold, particles):
+    system, _, y, _ = _record(model, q, r, data)
+    rule = {"ratio": ratio(threshold), "always": always, "every 5th step": interval(5), "never": never}[policy]
+    rng = np.random.default_rng([particles, 7])
+    return pfedu.bootstrap_filter(system, y, N, rng=rng, resampling=scheme, policy=rule, keep=True)
+
+
+def build(axes):
+    """Draw what stays; return the artists that move."""
+    t, d, e = axes["track"], axes["posterior"], axes["n_eff"]
+    exact, mine = dict(color=COLORS["exact"], ls="--", lw=1.5), dict(color=COLORS["particles"], lw=1.5)
+    artists = {
+        "step": t.axvline(0, color=COLORS["accent"], lw=5, alpha=0.4),
+        "band": t.fill_between([0, 1], 0, 1, color=COLORS["light"], alpha=0.3, lw=0),
+        "dots": t.plot([], [], ".", color=COLORS["particles"], ms=3.2, alpha=0.4, mew=0, label="particles")[0],
+        "y": t.plot([], [], "x", color=COLORS["measurement"], ms=4, label="measurement")[0],
+        "truth": t.plot([], [], color=COLORS["truth"], lw=1.2, label="truth")[0],
+        "exact": t.plot([], [], label="exact mean", **exact)[0],
+        "mean": t.plot([], [], label="SIR mean, ±2 sd", **mine)[0],
+        "bars": d.fill_between([0, 1], 0, 0, step="post", color=COLORS["light"], alpha=0.6, lw=0, label="particles"),
+        "density": d.plot([], [], label="exact", **exact)[0],
+        "truth_k": d.axvline(0, color=COLORS["truth"], lw=1.2, label="truth"),
+        "n_eff": e.plot([], [], color=COLORS["second"], lw=1.4, marker="o", ms=2.5)[0],
+        "threshold": e.axhline(0.5, color=COLORS["measurement"], ls=":", lw=1.2),
+        "resampled": e.plot([], [], "v", color=COLORS["third"], ms=4)[0],
+        "step_e": e.axvline(0, color=COLORS["accent"], lw=5, alpha=0.4),
+    }
+    t.set(xlim=(-0.7, T + 0.7), xlabel="time step k", ylabel="state", title="Truth, particles and estimates")
+    wide = t.figure.get_figwidth() > 5
+    t.legend(ncols=5 if wide else 2, loc="lower center", bbox_to_anchor=(0.5, 1.12), markerscale=2,
+             handlelength=1.6, columnspacing=1.0)  # fmt: skip
+    d.set(ylim=(0, 1.6), yticks=[0, 0.5, 1, 1.5], ylabel="density / exact peak", title="Posterior at step k")
+    d.legend(loc="upper right", handlelength=1.4)
+    e.set(xlim=(-0.7, T + 0.7), ylim=(0, 1.12), xlabel="time step k", ylabel="$N_{eff}$ / N",
+          title="Effective share of particles (▼ resampled)")  # fmt: skip
+    return artists
+
+
+def update(artists, axes, model, N, q, r, scheme, policy, threshold, k, data, particles):
+    """Run the filter and give the artists their data."""
+    threshold = threshold if policy == "ratio" else 0.0
+    _, x, y, exact = _record(model, q, r, data)
+    track = _filter(model, q, r, data, N, scheme, policy, threshold, particles)
+    _show_track(artists, axes["track"], model, x, y, exact, track, k)
+    _show_posterior(artists, axes["posterior"], model, x, exact, track, k)
+    _show_n_eff(artists, track, N, policy, threshold, k)
+    return _say(x, exact, track, model, N, policy, threshold, k)
+
+
+def _show_track(artists, ax, model, x, y, exact, track, k):
+    times = np.arange(T + 1)
+    reach = 20 * np.ceil(1.05 * max(np.abs(x).max(), np.nanmax(np.abs(_as_states(model, y))), 1) / 20)
+    if ax.get_ylim() != (-reach, reach):
+        ax.set_ylim(-reach, reach)
+    picks = systematic(np.exp(track.log_weights), np.random.default_rng(0), size=DOTS)  # dots as dense as the weights
+    cloud = np.take_along_axis(track.particles[..., 0], picks, axis=-1)
+    artists["dots"].set_data(np.repeat(times, DOTS), cloud.ravel())
+    states = _as_states(model, y)
+    artists["y"].set_data(np.tile(times, len(states)), states.ravel())
+    artists["truth"].set_data(times, x[:, 0])
+    artists["exact"].set_data(times, exact.mean[:, 0])
+    artists["mean"].set_data(times, track.mean[:, 0])
+    low, high = (track.mean + s * track.sd for s in (-2, 2))
+    artists["band"].set_verts([np.c_[np.r_[times, times[::-1]], np.r_[low[:, 0], high[::-1, 0]]]])
+    artists["step"].set_xdata([k, k])
+
+
+def _as_states(model, y):
+    """The states a measurement points to: y itself, or both square roots of 20 y; (rows, T+1)."""
+    if model == "random walk":
+        return y.T
+    root = np.sqrt(20 * np.clip(y[:, 0], 0, None))
+    return np.stack([root, -root])
+
+
+def _show_posterior(artists, ax, model, x, exact, track, k):
+    if model == "random walk":  # one narrow peak: look at it from its own mean
+        origin, reach, label = exact.mean[k, 0], 8.0, "state minus exact mean"
+        nodes = np.linspace(-reach, reach, 201)
+        density = np.exp(-0.5 * (nodes / exact.sd[k, 0]) ** 2) / (exact.sd[k, 0] * np.sqrt(2 * np.pi))
+    else:
+        origin, reach, label = 0.0, 40.0, "state"
+        nodes, density = exact.grid, exact.density[k]
+    if ax.get_xlabel() != label:
+        ax.set(xlim=(-reach, reach), xlabel=label)
+    edges = np.linspace(-reach, reach, 65)
+    bars = particle_histogram(track.particles[k, :, 0] - origin, track.log_weights[k], edges) / density.max()
+    heights = np.repeat(bars, 2)
+    artists["bars"].set_verts([np.r_[np.c_[np.repeat(edges, 2)[1:-1], heights], [[reach, 0], [-reach, 0]]]])
+    artists["density"].set_data(nodes, density / density.max())
+    artists["truth_k"].set_xdata([x[k, 0] - origin] * 2)
+
+
+def _show_n_eff(artists, track, N, policy, threshold, k):
+    times = np.arange(T + 1)
+    artists["n_eff"].set_data(times, track.n_eff / N)
+    artists["resampled"].set_data(times[track.resampled], np.full(track.resampled.sum(), 1.05))
+    artists["threshold"].set_ydata([threshold] * 2)
+    artists["threshold"].set_visible(policy == "ratio")
+    artists["step_e"].set_xdata([k, k])
+
+
+def _say(x, exact, track, model, N, policy, threshold, k):
+    times = int(track.resampled.sum())
+    numbers = {
+        "RMSE of the SIR mean against the truth": _rms(track.mean - x),
+        "RMSE of the exact mean against the truth": _rms(exact.mean - x),
+        "RMS distance of the SIR mean to the exact mean": _rms(track.mean - exact.mean),
+        "times resampled": times,
+        "log-likelihood, SIR": float(track.log_likelihood),
+        "log-likelihood, exact": float(exact.log_likelihood),
+        "SIR mean at step k": float(track.mean[k, 0]),
+        "exact mean at step k": float(exact.mean[k, 0]),
+        "SIR standard deviation at step k": float(track.sd[k, 0]),
+        "exact standard deviation at step k": float(exact.sd[k, 0]),
+        "N_eff at step k": float(track.n_eff[k]),
+    }
+    rmse, best, gap = list(numbers.values())[:3]
+    when = f"when N_eff fell below {threshold:g} N" if policy == "ratio" else f"policy: {policy}"
+    sentence = (
+        f"{model.capitalize()}, N = {N}: resampled {times} times in {T} steps ({when}). "
+        f"The SIR mean misses the truth by {rmse:.2f} (RMSE), the exact mean by {best:.2f}; "
+        f"the two means are {gap:.2f} apart. At step {k}, N_eff is {track.n_eff[k]:.0f} of {N}."
+    )
+    return Shown(sentence, numbers)
+
+
+def _rms(error):
+    return float(np.sqrt(np.mean(error**2)))
+
+
+EXPLORER = Explorer(
+    title="The SIR filter beside the exact answer",
+    controls=CONTROLS,
+    layouts={
+        "wide": ((7.6, 5.0), [["track", "track"], ["posterior", "n_eff"]]),
+        "narrow": ((3.7, 6.6), [["track"], ["posterior"], ["n_eff"]]),
+    },
+    build=build,
+    update=update,
+)

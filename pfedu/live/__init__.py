@@ -1,0 +1,34 @@
+"""Hosts for explorers: Jupyter (``jupyter``), the page's worker (``browser``), and the built page (``page``)."""
+
+
+def explore(name, **start):
+    """Show an explorer.
+
+    In Jupyter it is live at once. In the built book the same cell becomes a figure that is drawn
+    beforehand and redrawn by Python in the reader's browser.
+
+    Parameters
+    ----------
+    name : str
+        Name of a file in ``pfedu/explorers``.
+    **start
+        Where controls start, if not at their defaults.
+
+    Returns
+    -------
+    pfedu.live.jupyter.JupyterExplorer
+
+    Raises
+    ------
+    ValueError
+        If there is no such explorer, control or position.
+
+    Examples
+    --------
+    >>> from pfedu.live import explore
+    >>> explore("sir", N=100)
+    explore('sir', N=100)
+    """
+    from pfedu.live.jupyter import JupyterExplorer
+
+    return JupyterExplorer(name, **start)

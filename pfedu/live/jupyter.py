@@ -1,0 +1,116 @@
+"""Explorers in Jupyter: ipywidgets made from the declared controls, the picture in place."""
+
+import asyncio
+import html
+import json
+
+import ipywidgets as widgets
+import traitlets
+
+from pfedu.explorers import Choice, Seed, load
+from pfedu.explorers.stage import Stage
+from pfedu.live.picture import quick_png
+
+_WAIT = 0.02  # seconds in which further moves of a slider are taken together
+
+
+class JupyterExplorer(widgets.VBox):
+    """An explorer as a widget.
+
+    The picture is one image whose bytes change, so nothing flickers; moves that arrive together are
+    answered once, for the newest position.
+
+    Parameters
+    ----------
+    name : str
+        Name of an explorer.
+    **start
+        Where controls start, if not at their defaults.
+
+    Attributes
+    ----------
+    shown : pfedu.explorers.Shown
+        Sentence and numbers of the last redraw.
+
+    Examples
+    --------
+    >>> from pfedu.live.jupyter import JupyterExplorer
+    >>> explorer = JupyterExplorer("sir", N=100)
+    >>> explorer.controls["N"].value = 50
+    >>> explorer.shown.sentence.startswith("Growth model, N = 50")
+    True
+    """
+
+    def __init__(self, name, **start):
+        self.name, self.start = name, start
+        self.explorer = load(name)
+        params = self.explorer.check(start)
+        self._stage = Stage(self.explorer)
+        self._waiting = None
+        self.controls = {control.name: _widget(control, params[control.name]) for control in self.explorer.controls}
+        self.image = widgets.Image(format="png", layout={"max_width": "100%", "width": "760px"})
+        self.sentence = widgets.HTML()
+        for widget in self.controls.values():
+            widget.observe(self._moved, "value")
+        panel = widgets.Box(list(self.controls.values()), layout={"flex_flow": "row wrap", "max_width": "800px"})
+        super().__init__([self.image, self.sentence, panel])
+        self.redraw()
+
+    @property
+    def params(self):
+        """The value of each control."""
+        return {name: widget.value for name, widget in self.controls.items()}
+
+    def redraw(self):
+        """Draw the explorer where its controls stand now."""
+        self._waiting = None
+        try:
+            pixels, self.shown = self._stage.draw(self.params)
+        except Exception as error:
+            self.sentence.value = f"<p><b>Not redrawn:</b> {html.escape(f'{type(error).__name__}: {error}')}</p>"
+            return
+        self.image.value = quick_png(pixels)
+        self.image.alt_text = self.shown.sentence
+        self.sentence.value = f"<p>{html.escape(self.shown.sentence)}</p>"
+
+    def _moved(self, _change):
+        try:
+            loop = asyncio.get_running_loop()
+        except RuntimeError:  # no loop, as in a script: answer at once
+            self.redraw()
+            return
+        if self._waiting is None:
+            self._waiting = loop.call_later(_WAIT, self.redraw)
+
+    def __repr__(self):
+        return f"explore({', '.join([repr(self.name), *(f'{k}={v!r}' for k, v in self.start.items())])})"
+
+    def _repr_mimebundle_(self, **kwargs):
+        """Widget for Jupyter; a place-holder that the built page replaces; a line of text elsewhere."""
+        bundle = super()._repr_mimebundle_(**kwargs)
+        start = html.escape(json.dumps(self.start))
+        return bundle | {
+            "text/plain": repr(self),
+            "text/html": f'<div class="pfedu-explorer-here" data-name="{self.name}" data-start="{start}">'
+            f"<p>{html.escape(self.explorer.title)}: a figure with controls. Run the notebook to move them.</p></div>",
+        }
+
+
+def _widget(control, value):
+    style = {"description_width": "auto"}
+    if isinstance(control, Seed):
+        return _SeedButton(control, value)
+    options = [(control.text(v), v) for v in control.values]
+    kind = widgets.Dropdown if isinstance(control, Choice) else widgets.SelectionSlider
+    return kind(options=options, value=value, description=control.label, style=style, layout={"width": "380px"})
+
+
+class _SeedButton(widgets.Button):
+    """A button that steps through the seeds and round again."""
+
+    value = traitlets.Int()
+
+    def __init__(self, control, value):
+        super().__init__(description=control.label, icon="refresh", layout={"width": "180px"}, value=value)
+        values = control.values
+        self.on_click(lambda _: self.set_trait("value", values[(values.index(self.value) + 1) % len(values)]))

@@ -1,0 +1,206 @@
+// Explorers in the page. The picture, its sentence and its controls are in the HTML already; this script makes the
+// controls answer: at first with pictures drawn when the book was built, then with Python, which one worker for the
+// whole page loads at the first touch.
+(() => {
+  const script = document.currentScript;
+  const here = name => new URL(name, script.src).href;
+  const narrow = matchMedia('(max-width: 600px)');
+
+  // ---- Python: one worker for the page ----------------------------------------------------------------------------
+  const python = {
+    state: 'off', // off, loading, ready, failed
+    line: '', bytes: 0, stage: '', worker: null, asked: 0, waiting: new Map(), listeners: [],
+
+    start() {
+      if (this.state !== 'off') return;
+      this.tell('loading', 'Loading Python');
+      try {
+        this.worker = new Worker(here('worker.js' + script.dataset.version));
+      } catch (error) {
+        return this.fail('a page opened as a file may not start it; open the book through a web server');
+      }
+      this.worker.onerror = event => { event.preventDefault(); this.fail(event.message || 'its worker could not be loaded'); };
+      this.worker.onmessage = ({ data }) => this.hear(data);
+      this.worker.postMessage({ start: { pyodide: here(script.dataset.pyodide), pfedu: here('pfedu.zip' + script.dataset.version) } });
+    },
+
+    hear(data) {
+      if (data.progress) {
+        this.stage = data.progress.stage || this.stage;
+        this.bytes = data.progress.bytes || this.bytes;
+        this.tell('loading', `${this.stage}${this.bytes ? ` (${(this.bytes / 1e6).toFixed(1)} MB so far)` : ''} …`);
+      } else if (data.ready) {
+        this.tell('ready', 'Live: Python runs in this page.');
+      } else if (data.failed) {
+        this.fail(data.failed);
+      } else {
+        const { answer, refuse } = this.waiting.get(data.id);
+        this.waiting.delete(data.id);
+        data.error ? refuse(new Error(data.error)) : answer(data);
+      }
+    },
+
+    fail(why) {
+      this.worker?.terminate();
+      for (const { refuse } of this.waiting.values()) refuse(new Error(why));
+      this.waiting.clear();
+      this.tell('failed', `Python is not to be had here (${why}). The pictures drawn beforehand still answer, one control at a time.`);
+    },
+
+    tell(state, line) { this.state = state; this.line = line; this.listeners.forEach(listen => listen()); },
+
+    draw(request) {
+      const id = ++this.asked;
+      return new Promise((answer, refuse) => {
+        this.waiting.set(id, { answer, refuse });
+        this.worker.postMessage({ id, ...request });
+      });
+    },
+  };
+
+  // ---- One explorer -----------------------------------------------------------------------------------------------
+  class Explorer {
+    constructor(element) {
+      this.element = element;
+      const find = name => element.querySelector('.pfedu-' + name);
+      Object.assign(this, { image: find('poster'), canvas: find('canvas'), sentence: find('sentence'), spoken: find('spoken'),
+                            status: find('status'), form: find('controls'), table: find('numbers tbody') });
+      this.data = JSON.parse(element.querySelector('script').textContent);
+      this.folder = new URL('.', element.querySelector('.pfedu-poster').src).href;
+      this.inputs = [...this.form.querySelectorAll('[data-control]')];
+      this.busy = this.changed = this.beyond = false;
+      this.cache = new Map();
+      element.querySelectorAll('source').forEach(source => source.remove());
+      for (const input of this.inputs) {
+        input.addEventListener(input.type === 'button' ? 'click' : 'input', () => this.move(input));
+        for (const kind of ['pointerenter', 'focus']) input.addEventListener(kind, () => this.fetchFrames(input.dataset.control));
+      }
+      this.form.addEventListener('submit', event => event.preventDefault());
+      find('reset').addEventListener('click', () => this.reset());
+      for (const kind of ['pointerenter', 'pointerdown', 'focusin']) this.form.addEventListener(kind, () => python.start());
+      python.listeners.push(() => this.pythonChanged());
+      narrow.addEventListener('change', () => this.answer());
+      this.form.hidden = false;
+      this.inputs.forEach(input => this.label(input));
+      this.showFrame();
+    }
+
+    get layout() { return narrow.matches ? 'narrow' : 'wide'; }
+    position(input) { return Number(input.dataset.position ?? input.value); }
+    get positions() { return Object.fromEntries(this.inputs.map(input => [input.dataset.control, this.position(input)])); }
+
+    label(input) {
+      const text = this.data.texts[input.dataset.control][this.position(input)];
+      const output = input.closest('.pfedu-control').querySelector('output');
+      if (output) output.textContent = text;
+      if (input.type === 'range') input.setAttribute('aria-valuetext', text);
+    }
+
+    move(input) {
+      if (input.type === 'button') input.dataset.position = (this.position(input) + 1) % this.data.texts[input.dataset.control].length;
+      this.label(input);
+      python.start();
+      this.answer();
+    }
+
+    reset() {
+      for (const input of this.inputs) {
+        if (input.type === 'button') input.dataset.position = this.data.start[input.dataset.control];
+        else input.value = this.data.start[input.dataset.control];
+        this.label(input);
+      }
+      this.answer();
+    }
+
+    answer() { python.state === 'ready' ? this.drawLive() : this.showFrame(); }
+
+    pythonChanged() {
+      if (python.state === 'ready') this.drawLive();
+      else if (python.state === 'failed') this.showFrame();
+      this.say();
+    }
+
+    say(error) {
+      if (error) this.status.textContent = `Not redrawn: ${error}. The last picture stays.`;
+      else this.status.textContent = [this.note, python.line].filter(Boolean).join(' ');
+      this.element.dataset.python = python.state;
+    }
+
+    // -- pictures drawn beforehand: each control moved alone
+    fileOf(control, index) { return `${this.folder}${this.layout}-${control}-${index}.png`; }
+
+    fetchFrames(control) {
+      if (python.state === 'ready') return;
+      for (const index of Object.keys(this.data.frames[control])) {
+        const file = this.fileOf(control, index);
+        if (!this.cache.has(file)) this.cache.set(file, Object.assign(new Image(), { src: file }));
+      }
+    }
+
+    showFrame() {
+      const { start, frames, texts } = this.data;
+      const moved = this.inputs.filter(input => this.position(input) !== start[input.dataset.control]);
+      this.note = '';
+      if (moved.length > 1) {
+        this.note = python.state === 'failed'
+          ? 'This picture is not of the position chosen: several controls have been moved.'
+          : 'Several controls have been moved: the picture follows as soon as Python is up.';
+        return this.say();
+      }
+      const name = moved.length ? moved[0].dataset.control : this.inputs[0].dataset.control;
+      const wanted = moved.length ? this.position(moved[0]) : start[name];
+      const drawn = Object.keys(frames[name]).map(Number);
+      const nearest = drawn.reduce((a, b) => (Math.abs(b - wanted) < Math.abs(a - wanted) ? b : a));
+      if (nearest !== wanted) this.note = `Shown: ${texts[name][nearest]}, the nearest position drawn beforehand.`;
+      const [sentence, numbers] = frames[name][nearest];
+      this.show('frame', sentence, numbers);
+      this.image.src = this.fileOf(name, nearest);
+      this.image.alt = sentence;
+      this.image.hidden = false;
+      this.canvas.hidden = true;
+      this.say();
+    }
+
+    // -- pictures drawn by Python: at most one under way, the newest position next
+    async drawLive() {
+      this.changed = true;
+      if (this.busy) return;
+      this.busy = true;
+      while (this.changed) {
+        this.changed = false;
+        const layout = this.layout;
+        try {
+          const result = await python.draw({ name: this.data.name, layout, positions: this.positions });
+          this.paint(result);
+          this.note = '';
+          this.say();
+        } catch (error) {
+          this.say(error.message);
+          if (python.state === 'failed') break;
+        }
+      }
+      this.busy = false;
+    }
+
+    paint({ pixels, width, height, words, ms }) {
+      if (this.canvas.width !== width || this.canvas.height !== height) Object.assign(this.canvas, { width, height });
+      this.canvas.getContext('2d').putImageData(new ImageData(new Uint8ClampedArray(pixels), width, height), 0, 0);
+      this.canvas.setAttribute('aria-label', words.sentence);
+      this.canvas.hidden = false;
+      this.image.hidden = true;
+      this.show('live', words.sentence, Object.values(words.numbers));
+      this.element.dataset.ms = ms.toFixed(1);
+    }
+
+    show(state, sentence, numbers) {
+      this.sentence.textContent = sentence;
+      [...this.table.rows].forEach((row, i) => { row.cells[1].textContent = Number(numbers[i].toPrecision(6)); });
+      this.element.dataset.state = state;
+      this.element.dataset.redraws = Number(this.element.dataset.redraws || 0) + 1;
+      clearTimeout(this.timer); // read aloud when the hand rests, not at every step of a slider
+      this.timer = setTimeout(() => { if (this.element.dataset.redraws > 1) this.spoken.textContent = sentence; }, 700);
+    }
+  }
+
+  document.querySelectorAll('.pfedu-explorer').forEach(element => new Explorer(element));
+})();

@@ -1,0 +1,163 @@
+"""Every explorer, natively: each corner of its controls, each control alone, and what a redraw must not miss."""
+
+import itertools
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from pfedu.explorers import Choice, Explorer, Seed, Shown, Slider, load, names
+from pfedu.explorers.controls import geometric
+from pfedu.explorers.stage import Stage
+
+EXPLORERS = names()
+
+
+@pytest.fixture(scope="module")
+def stages():
+    return {name: Stage(load(name), dpi=40) for name in EXPLORERS}
+
+
+def _sound(pixels, shown, params):
+    assert pixels.dtype == np.uint8 and pixels.shape[-1] == 4
+    assert len(np.unique(pixels.reshape(-1, 4), axis=0)) > 10, f"an empty picture at {params}"
+    assert shown.sentence.endswith("."), shown.sentence
+    assert "nan" not in shown.sentence and "inf" not in shown.sentence, shown.sentence
+    assert all(np.isfinite(value) for value in shown.numbers.values()), (params, shown.numbers)
+
+
+@pytest.mark.parametrize("name", EXPLORERS)
+def test_every_corner(stages, name):
+    """A division by zero, an empty array or a range exceeded at an extreme position."""
+    explorer = load(name)
+    controls = [c for c in explorer.controls if not isinstance(c, Seed)]  # a seed has no extremes
+    for corner in itertools.product(*(dict.fromkeys((c.values[0], c.values[-1])) for c in controls)):
+        params = explorer.defaults() | dict(zip([c.name for c in controls], corner, strict=True))
+        _sound(*stages[name].draw(params), params)
+
+
+@pytest.mark.parametrize("name", EXPLORERS)
+def test_every_position_of_each_control_alone(stages, name):
+    """A position between the extremes that breaks, or a value of a list that is never handled."""
+    explorer = load(name)
+    for control in explorer.controls:
+        for value in control.frames() if isinstance(control, Seed) else control.values:
+            params = explorer.defaults() | {control.name: value}
+            _sound(*stages[name].draw(params), params)
+
+
+@pytest.mark.parametrize("name", EXPLORERS)
+@settings(max_examples=25, deadline=None)
+@given(data=st.data())
+def test_any_position(stages, name, data):
+    """A combination of positions that only a reader would find."""
+    params = {c.name: data.draw(st.sampled_from(c.values), label=c.name) for c in load(name).controls}
+    _sound(*stages[name].draw(params), params)
+
+
+@pytest.mark.parametrize("name", EXPLORERS)
+def test_every_control_changes_the_picture(stages, name):
+    """A broken redraw: an artist that is not given its new data leaves the picture as it was."""
+    explorer = load(name)
+    for control in explorer.controls:
+        before = stages[name].draw(explorer.defaults())[0].copy()
+        others = [v for v in control.values if v != control.default]
+        seen = [stages[name].draw(explorer.defaults() | {control.name: value})[0].copy() for value in others[::7]]
+        assert any((pixels != before).any() for pixels in seen), f"{name}: moving {control.name} changes nothing"
+
+
+@pytest.mark.parametrize("layout", ["wide", "narrow"])
+@pytest.mark.parametrize("name", EXPLORERS)
+def test_redraw_equals_a_fresh_drawing(name, layout):
+    """A redraw by blitting that leaves something of the last picture behind."""
+    explorer = load(name)
+    reused = Stage(explorer, layout, dpi=60)
+    rng = np.random.default_rng(1)
+    for _ in range(6):
+        params = {c.name: c.values[rng.integers(len(c.values))] for c in explorer.controls}
+        pixels, shown = reused.draw(params)
+        fresh, said = Stage(explorer, layout, dpi=60).draw(params)
+        assert shown == said
+        np.testing.assert_array_equal(pixels, fresh)
+
+
+@pytest.mark.parametrize("name", EXPLORERS)
+def test_same_position_same_picture(stages, name):
+    """State that leaks from one redraw into the next."""
+    explorer = load(name)
+    first, said = stages[name].draw(explorer.defaults())
+    first = first.copy()
+    for control in explorer.controls:
+        stages[name].draw(explorer.defaults() | {control.name: control.values[-1]})
+    again, says = stages[name].draw(explorer.defaults())
+    assert said == says
+    np.testing.assert_array_equal(first, again)
+
+
+@pytest.mark.parametrize("name", EXPLORERS)
+def test_every_explorer_is_labelled(name):
+    """An explorer without words for those who cannot see it."""
+    explorer = load(name)
+    assert explorer.title and set(explorer.layouts) == {"wide", "narrow"}
+    assert all(control.label for control in explorer.controls)
+    assert len({control.name for control in explorer.controls}) == len(explorer.controls)
+
+
+def test_sir_common_random_numbers():
+    """A control that changes more than it names."""
+    from pfedu.explorers.sir import _filter, _record
+
+    base = dict(model="random walk", q=10.0, r=1.0, data=1)
+    _, x, y, _ = _record(**base)
+    _, x_other_r, y_other_r, _ = _record(**base | {"r": 5.0})
+    np.testing.assert_array_equal(x, x_other_r)  # measurement noise does not touch the truth
+    np.testing.assert_allclose((y_other_r - x)[1:], np.sqrt(5.0) * (y - x)[1:])  # and is scaled, not drawn again
+    _, x_other_q, y_other_q, _ = _record(**base | {"q": 40.0})
+    np.testing.assert_allclose(np.diff(x_other_q, axis=0), 2.0 * np.diff(x, axis=0))
+    np.testing.assert_allclose((y_other_q - x_other_q)[1:], (y - x)[1:], atol=1e-12)
+
+    run = dict(base, N=200, policy="never", threshold=0.0, particles=1)
+    free = _filter(**run, scheme="systematic")
+    other = _filter(**run, scheme="multinomial")
+    np.testing.assert_array_equal(free.particles, other.particles)
+    seldom = _filter(**run | {"policy": "every 5th step"}, scheme="systematic")
+    np.testing.assert_array_equal(free.particles[:6], seldom.particles[:6])  # the first resampling is after step 5
+    moved = seldom.particles[7] - seldom.particles[6]  # no resampling between: the same noise moves them
+    np.testing.assert_allclose(moved, free.particles[7] - free.particles[6])
+
+
+def test_sir_sentence_counts():
+    """A sentence that says something else than the track."""
+    explorer = load("sir")
+    _, shown = Stage(explorer, dpi=40).draw(explorer.defaults() | {"policy": "never"})
+    assert shown.numbers["times resampled"] == 0
+    assert "resampled 0 times" in shown.sentence
+
+
+def test_controls_refuse_what_they_do_not_have():
+    with pytest.raises(ValueError, match="starts at 7, which is none of"):
+        Slider("a", "a", (1, 2), 7)
+    explorer = load("sir")
+    with pytest.raises(ValueError, match="no control 'n': there are model, N"):
+        explorer.check({"n": 1})
+    with pytest.raises(ValueError, match="control 'N' has no position 11"):
+        explorer.check({"N": 11})
+    with pytest.raises(ValueError, match="no explorer 'nonesuch': there are"):
+        load("nonesuch")
+
+
+def test_geometric_positions_hold_both_ends_and_are_round():
+    values = geometric(10, 5000, 28)
+    assert values[0] == 10 and values[-1] == 5000 and list(values) == sorted(set(values))
+    assert 500 in values and 1000 in values
+
+
+def test_moved_alone_moves_one_control_at_a_time():
+    explorer = Explorer("t", (Slider("a", "a", range(5), 2), Choice("b", "b", ("x", "y"), "x"), Seed("s", "s")),
+                        {}, lambda axes: {}, lambda *a, **k: Shown("."))  # fmt: skip
+    start = {"a": 1, "b": "y", "s": 1}
+    frames = list(explorer.moved_alone(start))
+    assert all(sum(params[key] != start[key] for key in start) <= 1 for _, _, params in frames)
+    assert {value for name, value, _ in frames if name == "a"} == {0, 1, 2, 3, 4}
+    assert ("b", "y", start) in frames
