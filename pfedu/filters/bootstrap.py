@@ -4,7 +4,9 @@ from pfedu.filters.loop import particle_filter
 from pfedu.resampling import ratio
 
 
-def bootstrap_filter(model, y, n_particles, *, rng, resampling="systematic", policy=ratio(0.5), keep=False, n_runs=None):
+def bootstrap_filter(
+    model, y, n_particles, *, rng, resampling="systematic", policy=ratio(0.5), keep=False, n_runs=None
+):
     r"""Move particles by the model, weigh them by the likelihood, resample.
 
     .. math:: x_k^{(i)} \sim p(x_k \mid x_{k-1}^{(i)}), \qquad w_k^{(i)} \propto w_{k-1}^{(i)} \, p(y_k \mid x_k^{(i)})

@@ -1,7 +1,7 @@
 """Explorers in the page: what the worker's Python does with a position of the controls."""
 
 import json
-from functools import lru_cache
+from functools import cache
 
 import numpy as np
 
@@ -9,7 +9,7 @@ from pfedu.explorers import load
 from pfedu.explorers.stage import Stage
 
 
-@lru_cache(maxsize=None)
+@cache
 def _stage(name, layout):
     return Stage(load(name), layout)
 

@@ -7,7 +7,7 @@ from PIL import Image
 
 
 def quick_png(pixels):
-    """PNG made fast, for a picture that is shown once.
+    r"""PNG made fast, for a picture that is shown once.
 
     Parameters
     ----------
@@ -21,13 +21,13 @@ def quick_png(pixels):
     --------
     >>> from pfedu.live.picture import quick_png
     >>> quick_png(np.zeros((2, 2, 4), np.uint8))[:4]
-    b'\\x89PNG'
+    b'\x89PNG'
     """
     return _save(Image.fromarray(np.ascontiguousarray(pixels[..., :3])), compress_level=1)
 
 
 def small_png(pixels, colors=64):
-    """PNG made small, for a picture that travels: a palette of a few dozen colours.
+    r"""PNG made small, for a picture that travels: a palette of a few dozen colours.
 
     Parameters
     ----------
@@ -43,7 +43,7 @@ def small_png(pixels, colors=64):
     --------
     >>> from pfedu.live.picture import small_png
     >>> small_png(np.zeros((2, 2, 4), np.uint8))[:4]
-    b'\\x89PNG'
+    b'\x89PNG'
     """
     image = Image.fromarray(np.ascontiguousarray(pixels[..., :3]))
     return _save(image.quantize(colors, method=Image.Quantize.FASTOCTREE, dither=Image.Dither.NONE), optimize=True)
