@@ -91,7 +91,8 @@ def move(page, name, control, position):
 def shows(page, name, sentence, timeout=20_000):
     """Wait until the explorer says this sentence."""
     page.wait_for_function(
-        "([name, sentence]) => document.querySelector(`[data-explorer='${name}'] .pfedu-sentence`).textContent === sentence",
+        "([name, sentence]) => sentence === document.querySelector("
+        "`[data-explorer='${name}'] .pfedu-sentence`).textContent",
         arg=[name, sentence], timeout=timeout)  # fmt: skip
 
 
@@ -128,8 +129,8 @@ def test_every_picture_is_there_and_has_words(chromium, book_folder, book):
         with reading(chromium, book) as page:
             page.goto(book + path, wait_until="load")
             bad = page.evaluate(
-                "[...document.querySelectorAll('article img')].filter("
-                "i => !i.naturalWidth || !(i.getAttribute('alt') || '').trim() || /^\\.\\.|_images/.test(i.alt)).map(i => i.src)"
+                "[...document.querySelectorAll('article img')].filter(i => !i.naturalWidth"
+                " || !(i.getAttribute('alt') || '').trim() || /^\\.\\.|_images/.test(i.alt)).map(i => i.src)"
             )
             assert bad == [], path
 
@@ -277,7 +278,8 @@ def test_numbers_of_the_page_equal_the_native_ones(chromium, own_book, explorers
             where = {c.name: (c.values.index(c.default) + shift) % len(c.values) for c in load(name).controls}
             numbers = page.evaluate(
                 """([name, positions]) => new Promise((done, fail) => {
-                    const script = document.querySelector('script[data-pyodide]'), at = f => new URL(f, script.src).href;
+                    const script = document.querySelector('script[data-pyodide]');
+                    const at = f => new URL(f, script.src).href;
                     const worker = new Worker(at('worker.js'));
                     worker.onmessage = ({data}) => {
                         if (data.ready) worker.postMessage({id: 1, name, layout: 'wide', positions});
@@ -302,14 +304,16 @@ def test_newest_position_wins_and_nothing_queues_up(chromium, own_book, explorer
         top = int(slider.get_attribute("max"))
         before = int(figure(page, name).get_attribute("data-redraws"))
         slider.evaluate(
-            """async (i, top) => { for (let n = 0; n < 60; n++) { i.value = n % (top + 1);
-               i.dispatchEvent(new Event('input', {bubbles: true})); await new Promise(r => setTimeout(r, 2)); } }""", top)  # fmt: skip
+            """async (i, top) => { for (let n = 0; n < 60; n++) {
+                i.value = n % (top + 1);
+                i.dispatchEvent(new Event('input', {bubbles: true}));
+                await new Promise(r => setTimeout(r, 2)); } }""", top)  # fmt: skip
         shows(page, name, said_natively(page, name)["sentence"])
         assert int(figure(page, name).get_attribute("data-redraws")) - before < 60
 
 
 def _broken_archive(folder, name):
-    """The page's package, with a redraw of one explorer that fails where its first number is below its last."""
+    """The page's package, with a redraw that fails where that control stands at 0."""
     archive = next(Path(folder).rglob("pfedu.zip"))
     out = io.BytesIO()
     with zipfile.ZipFile(archive) as old, zipfile.ZipFile(out, "w") as new:
@@ -318,9 +322,8 @@ def _broken_archive(folder, name):
             if item == "pfedu/explorers/stage.py":
                 old_line = b"shown = self.explorer.update("
                 assert old_line in text
-                text = text.replace(
-                    old_line, b"if params['%s'] == 0: raise ValueError('broken on purpose')\n        " % name + old_line
-                )
+                trap = b"if params['%s'] == 0: raise ValueError('broken on purpose')\n        " % name
+                text = text.replace(old_line, trap + old_line)
             new.writestr(item, text)
     return out.getvalue()
 
