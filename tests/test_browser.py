@@ -52,7 +52,9 @@ def explorer_pages(folder):
 
 
 def all_pages(folder):
-    return [f.relative_to(folder).as_posix() for f in sorted(Path(folder).rglob("*.html")) if "_static" not in f.parts]
+    """Every page but index.html, which only leads on to the first."""
+    found = [file.relative_to(folder) for file in sorted(Path(folder).rglob("*.html"))]
+    return [file.as_posix() for file in found if "_static" not in file.parts and file.as_posix() != "index.html"]
 
 
 @pytest.fixture(scope="session")
@@ -122,6 +124,13 @@ def test_no_page_errs_or_asks_another_site(chromium, book_folder, book):
             assert page.foreign == [], path
             raw = page.evaluate("document.querySelectorAll('mjx-merror, .problematic').length")
             assert raw == 0, f"{path}: mathematics or a reference that did not resolve"
+
+
+def test_index_leads_to_the_preface(chromium, book):
+    with reading(chromium, book) as page:
+        page.goto(book)
+        page.wait_for_url("**/preface.html")
+        assert "Particle Filters" in page.title()
 
 
 def test_every_picture_is_there_and_has_words(chromium, book_folder, book):
@@ -255,18 +264,28 @@ def test_python_answers_every_control_with_the_native_numbers(chromium, own_book
         with reading(chromium, own_book) as page:
             page.goto(own_book + path)
             wake(page, name)
-            for control in [*load(name).controls, *load(name).controls]:  # twice: combinations too
-                before = figure(page, name).locator("canvas").evaluate("c => c.toDataURL()")
+            canvas, controls = figure(page, name).locator("canvas"), load(name).controls
+            for control in controls:  # alone
+                before, start = canvas.evaluate("c => c.toDataURL()"), words(page, name)
                 move(page, name, control.name, elsewhere(control, positions(page, name)[control.name]))
-                native = said_natively(page, name)
-                shows(page, name, native["sentence"])
-                after = figure(page, name).locator("canvas").evaluate("c => c.toDataURL()")
-                assert after != before, f"{name}: {control.name} moved and the picture did not"
-                table = figure(page, name).locator(".pfedu-numbers td").all_text_contents()
-                assert [float(t) for t in table] == pytest.approx(list(native["numbers"].values()), rel=1e-5, abs=1e-9)
+                _native_numbers_are_shown(page, name)
+                moved = canvas.evaluate("c => c.toDataURL()") != before
+                assert moved, f"{name}: {control.name} moved and the picture did not"
+                figure(page, name).locator(".pfedu-reset").click()
+                shows(page, name, start)
+            for control in controls:  # on top of each other
+                move(page, name, control.name, elsewhere(control, positions(page, name)[control.name]))
+                _native_numbers_are_shown(page, name)
             assert figure(page, name).get_attribute("data-state") == "live"
             assert page.errors == [] and page.foreign == []
             assert sum("worker.js" in url for url in page.asked) == 1
+
+
+def _native_numbers_are_shown(page, name):
+    native = said_natively(page, name)
+    shows(page, name, native["sentence"])
+    table = [float(text) for text in figure(page, name).locator(".pfedu-numbers td").all_text_contents()]
+    assert table == pytest.approx(list(native["numbers"].values()), rel=1e-5, abs=1e-9)
 
 
 def test_numbers_of_the_page_equal_the_native_ones(chromium, own_book, explorers):

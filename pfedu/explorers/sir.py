@@ -13,7 +13,7 @@ from pfedu.resampling import SCHEMES, always, interval, never, ratio, systematic
 
 T = 50
 DOTS = 60  # dots a time step that stand for the particles
-GRID = np.linspace(-50.0, 50.0, 401)
+GRID = np.linspace(-50.0, 50.0, 321)  # spacing below every standard deviation that the controls allow
 MODELS = {"growth model": pfedu.models.growth, "random walk": pfedu.models.random_walk}
 POLICIES = ("ratio", "always", "every 5th step", "never")
 
