@@ -17,8 +17,9 @@ def grid_filter(model, y, grid, *, tolerance=1e-3):
         p(x_k \mid Y_{k-1}) &= \int p(x_k \mid x_{k-1})\, p(x_{k-1} \mid Y_{k-1})\, dx_{k-1} \\
         p(x_k \mid Y_k) &= p(y_k \mid x_k)\, p(x_k \mid Y_{k-1}) / p(y_k \mid Y_{k-1})
 
-    Integrals are trapezoidal, which for smooth densities that vanish at both ends converges faster
-    than any power of the spacing. Source: Simon, *Optimal State Estimation* (2006), section 15.1.
+    Integrals are trapezoidal. On evenly spaced nodes the error for a smooth density that vanishes at
+    both ends falls faster than any power of the spacing; on uneven nodes it falls with the square of
+    the spacing. Source: Simon, *Optimal State Estimation* (2006), section 15.1.
 
     Parameters
     ----------
