@@ -4,7 +4,6 @@ PYTHON ?= python3
 VENV ?= .venv
 BIN := $(VENV)/$(if $(filter Windows_NT,$(OS)),Scripts,bin)
 BUILD = $(BIN)/jupyter-book build -W -n --keep-going
-NOTEBOOKS := $(notdir $(wildcard book/*.ipynb))
 
 .DEFAULT_GOAL := help
 .PHONY: help env browser book read test test-core test-browser self-hosted lab lint notebooks requirements clean
@@ -38,8 +37,7 @@ lint: env ## check the style of code and notebooks
 	$(BIN)/ruff format --check .
 
 notebooks: env ## execute the notebooks in place, to commit their outputs
-	cd book && ../$(BIN)/jupyter nbconvert --to notebook --execute --inplace \
-		--ExecutePreprocessor.store_widget_state=False --ExecutePreprocessor.record_timing=False $(NOTEBOOKS)
+	$(BIN)/python -m pfedu.live.execute $(wildcard book/*.ipynb)
 
 env: $(VENV)/made ## make the environment
 

@@ -66,7 +66,7 @@ def sqrt_cov(cov, name="cov"):
     Raises
     ------
     ValueError
-        If the covariance has a negative eigenvalue (beyond rounding), with that eigenvalue.
+        If a variance is negative, or an eigenvalue of the correlations beyond rounding.
 
     Examples
     --------
@@ -78,12 +78,18 @@ def sqrt_cov(cov, name="cov"):
     try:
         return np.linalg.cholesky(cov)
     except np.linalg.LinAlgError:
-        values, vectors = np.linalg.eigh(cov)
-    if (values < -1e-10 * np.abs(values).max()).any():
-        raise ValueError(f"{name} is not positive semi-definite: smallest eigenvalue {values.min():.3g}")
+        variances = np.diagonal(cov, axis1=-2, axis2=-1)  # (..., n)
+    if (variances < 0).any():
+        raise ValueError(f"{name} is not positive semi-definite: it has the variance {variances.min():.3g}")
     if not (cov * (1.0 - np.eye(cov.shape[-1]))).any():  # diagonal: keep it readable
-        return np.sqrt(np.clip(cov, 0.0, None))
-    return vectors * np.sqrt(np.clip(values, 0.0, None))[..., None, :]
+        return np.sqrt(cov)
+    sd = np.sqrt(np.where(variances > 0, variances, 1.0))[..., None]  # (..., n, 1)
+    values, vectors = np.linalg.eigh(cov / (sd * np.swapaxes(sd, -1, -2)))  # of correlations: units do not matter
+    if (values < -1e-10).any():
+        raise ValueError(
+            f"{name} is not positive semi-definite: its correlations have the eigenvalue {values.min():.3g}"
+        )
+    return sd * vectors * np.sqrt(np.clip(values, 0.0, None))[..., None, :]
 
 
 class Gaussian:
@@ -118,8 +124,9 @@ class Gaussian:
             raise ValueError(f"{name} must be one matrix (n, n), got shape {self.cov.shape}")
         self.n = self.cov.shape[-1]
         self.root = sqrt_cov(self.cov, name)
-        diagonal = np.diag(self.root)
-        self.is_singular = not np.array_equal(self.root, np.tril(self.root)) or (diagonal <= 0).any()
+        diagonal, sd = np.diag(self.root), np.sqrt(np.diag(self.cov))
+        # what is left of each standard deviation once the others are known: rounding alone leaves about 1e-8
+        self.is_singular = not np.array_equal(self.root, np.tril(self.root)) or (diagonal <= 1e-7 * sd).any()
         if not self.is_singular:
             self._whiten = np.linalg.inv(self.root)
             self._log_norm = -0.5 * self.n * _LOG_2PI - np.log(diagonal).sum()

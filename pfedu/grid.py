@@ -102,13 +102,15 @@ def trapezoid_weights(grid):
 
 def _correct(model, k, y, missing, x, p, dx):
     """Multiply by the likelihood and normalise; a missing measurement leaves p as it is."""
-    log_g = model.log_likelihood(k, np.where(np.isnan(y), 0.0, y)[..., None, :], x)  # (..., G)
+    if missing.all():
+        return p, np.zeros(missing.shape)
+    log_g = np.where(missing[..., None], 0.0, model.log_likelihood(k, y[..., None, :], x))  # (..., G)
     peak = log_g.max(axis=-1, keepdims=True)
     joint = p * np.exp(log_g - peak)
     evidence = joint @ dx
     if not (evidence > 0).all():
         raise GridError(f"at step {k} the likelihood is zero at every node that has probability: widen the grid")
-    _check_fine(joint, dx, k, missing)
+    _check_fine(joint, dx, k)
     posterior = np.where(missing[..., None], p, joint / evidence[..., None])
     return posterior, np.where(missing, 0.0, np.log(evidence) + peak[..., 0])
 
@@ -124,18 +126,24 @@ def _check_grid(model, grid):
 
 def _check_mass(p, dx, k, tolerance):
     """A density integrates to one; on the grid it does not if it sticks out or falls between nodes."""
-    mass = np.atleast_1d(p @ dx)
-    worst = mass[np.argmax(np.abs(mass - 1.0))]
-    if not abs(worst - 1.0) <= tolerance:
+    p = p.reshape(-1, dx.size)  # one row a run
+    mass = p @ dx
+    worst = np.argmax(np.abs(mass - 1.0))
+    if not abs(mass[worst] - 1.0) <= tolerance:
+        sticks_out = max(p[worst, 0], p[worst, -1]) > 1e-3 * p[worst].max()
         raise GridError(
-            f"before the measurement of step {k} the density integrates to {worst:.4g} on the grid instead of 1: "
-            "use a wider grid if it is below, a finer one if it is above"
+            f"before the measurement of step {k} the density integrates to {mass[worst]:.4g} on the grid instead of 1: "
+            + (
+                "it sticks out at an end, use a wider grid"
+                if sticks_out
+                else "it falls between nodes, use a finer grid"
+            )
         )
 
 
-def _check_fine(joint, dx, k, missing):
+def _check_fine(joint, dx, k):
     """A peak needs about as many nodes as its full width: below 3 the sum is no longer the integral."""
     w = joint * dx
     n_eff = w.sum(axis=-1) ** 2 / np.sum(w * w, axis=-1)
-    if (np.where(missing, np.inf, n_eff) < 3).any():
+    if (n_eff < 3).any():
         raise GridError(f"at step {k} the posterior rests on {n_eff.min():.2g} nodes: use a finer grid there")

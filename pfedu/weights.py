@@ -160,4 +160,7 @@ def _particles_and_weights(x, log_w):
     x, log_w = np.asarray(x, dtype=float), np.asarray(log_w, dtype=float)
     if x.ndim < 2 or x.shape[:-1] != log_w.shape:
         raise ValueError(f"particles (..., N, n_x) and log weights (..., N) do not fit: {x.shape} and {log_w.shape}")
-    return x, np.exp(log_w)
+    w = np.exp(log_w)
+    if not np.isfinite(x).all():  # a state that ran away and was given weight zero counts for nothing
+        x = np.where(w[..., None] > 0, x, 0.0)
+    return x, w

@@ -6,6 +6,7 @@ estimates, N_eff, resampling, missing measurements, many runs at once) is here, 
 
 import numpy as np
 
+from pfedu.models import require
 from pfedu.resampling import scheme
 from pfedu.track import Track, read_record
 from pfedu.weights import ZeroLikelihoodError, normalize, weighted_cov, weighted_mean
@@ -47,10 +48,24 @@ def particle_filter(propose, model, y, n_particles, *, rng, resampling, policy, 
         If an argument has the wrong shape or value.
     ZeroLikelihoodError
         If no particle of a run can explain a measurement; the message gives the step.
+
+    Examples
+    --------
+    A filter whose particles ignore the measurement until they are weighed is the bootstrap filter:
+
+    >>> import pfedu
+    >>> from pfedu.filters.loop import particle_filter
+    >>> from pfedu.resampling import always
+    >>> model = pfedu.models.random_walk()
+    >>> def propose(k, y, x, rng):
+    ...     x = model.propagate(k, x, rng)
+    ...     return x, model.log_likelihood(k, y, x)
+    >>> track = particle_filter(propose, model, [0.0, 1.0], 100, rng=np.random.default_rng(1),
+    ...                         resampling="systematic", policy=always)
+    >>> track.mean.shape
+    (2, 1)
     """
-    y, missing = read_record(y, model.n_y)
-    if n_runs is not None:
-        y, missing = np.broadcast_to(y, (n_runs, *y.shape)), np.broadcast_to(missing, (n_runs, *missing.shape))
+    y, missing, n_particles = _check(model, y, n_particles, n_runs)
     pick, runs = scheme(resampling), y.shape[:-2]
     rng_move, rng_pick = _generators(rng)
     x = _start(model, runs, n_particles, rng_move)
@@ -99,6 +114,15 @@ def advance(propose, model, k, y, missing, x, rng):
     ------
     ValueError
         If the model gives back the wrong shape.
+
+    Examples
+    --------
+    >>> import pfedu
+    >>> from pfedu.filters.loop import advance
+    >>> model, y, missing = pfedu.models.random_walk(), np.array([1.0]), np.array(False)
+    >>> x, log_g = advance(None, model, 0, y, missing, np.zeros((4, 1)), np.random.default_rng(1))
+    >>> x.shape, log_g.round(4).tolist()
+    ((4, 1), [-1.4189, -1.4189, -1.4189, -1.4189])
     """
     if missing.all():
         new = model.propagate(k, x, rng) if k > 0 else x
@@ -142,6 +166,13 @@ def reweight(log_w, log_g, k):
         If all weights of a run became zero.
     ValueError
         If a factor is NaN.
+
+    Examples
+    --------
+    >>> from pfedu.filters.loop import reweight
+    >>> log_w, increment = reweight(np.log([0.5, 0.5]), np.log([0.1, 0.3]), k=1)
+    >>> np.exp(log_w).round(4).tolist(), round(float(np.exp(increment)), 4)
+    ([0.25, 0.75], 0.2)
     """
     try:
         return normalize(log_w + log_g)
@@ -173,6 +204,15 @@ def resample(x, log_w, due, pick, rng):
     log_w : ndarray, shape (..., N)
         1/N each in a run that was resampled.
     ancestors : ndarray of int, shape (..., N)
+
+    Examples
+    --------
+    >>> from pfedu.filters.loop import resample
+    >>> from pfedu.resampling import systematic
+    >>> x, log_w = np.array([[1.0], [2.0]]), np.log([1e-9, 1 - 1e-9])
+    >>> x, log_w, ancestors = resample(x, log_w, np.array(True), systematic, np.random.default_rng(1))
+    >>> x.ravel().tolist(), np.exp(log_w).tolist(), ancestors.tolist()
+    ([2.0, 2.0], [0.5, 0.5], [1, 1])
     """
     n = log_w.shape[-1]
     own = np.broadcast_to(np.arange(n), log_w.shape)
@@ -183,6 +223,18 @@ def resample(x, log_w, due, pick, rng):
     return x, np.where(due[..., None], -np.log(n), log_w), ancestors
 
 
+def _check(model, y, n_particles, n_runs):
+    for piece in ("sample_initial", "propagate", "log_likelihood"):
+        require(model, piece, "a particle filter")
+    for name, value in {"n_particles": n_particles, "n_runs": 1 if n_runs is None else n_runs}.items():
+        if not (value >= 1 and value == int(value)):
+            raise ValueError(f"{name} must be a whole number of at least 1, got {value}")
+    y, missing = read_record(y, model.n_y)
+    if n_runs is not None:
+        y, missing = (np.broadcast_to(a, (int(n_runs), *a.shape)) for a in (y, missing))
+    return y, missing, int(n_particles)
+
+
 def _generators(rng):
     if not isinstance(rng, np.random.Generator):
         raise TypeError(f"rng must be a numpy.random.Generator, e.g. numpy.random.default_rng(1); got {rng!r}")
@@ -191,8 +243,6 @@ def _generators(rng):
 
 def _start(model, runs, n, rng):
     """Particles from p(x_0): (*runs, N, n_x)."""
-    if n != int(n) or n < 1:
-        raise ValueError(f"n_particles must be a whole number of at least 1, got {n}")
     total = int(np.prod(runs)) * n
     x = np.asarray(model.sample_initial(total, rng), dtype=float)
     if x.shape != (total, model.n_x):
