@@ -51,13 +51,15 @@ def kalman_filter(model, y):
     for k in range(y.shape[-2]):
         if k > 0:
             m, P = predict(m, P, model.F, model.Q)
-        corrected = correct(m, P, np.where(np.isnan(y[..., k, :]), 0.0, y[..., k, :]), model.H, model.R)
-        skip = missing[..., k]
-        m = np.where(skip[..., None], m, corrected[0])
-        P = np.where(skip[..., None, None], P, corrected[1])
+        skip, increment = missing[..., k], np.zeros(missing.shape[:-1])
+        if not skip.all():
+            m_new, P_new, log_likelihood = correct(m, P, y[..., k, :], model.H, model.R)  # NaN where skipped
+            m = np.where(skip[..., None], m, m_new)
+            P = np.where(skip[..., None, None], P, P_new)
+            increment = np.where(skip, 0.0, log_likelihood)
         means.append(m)
         covs.append(P)
-        increments.append(np.where(skip, 0.0, corrected[2]))
+        increments.append(increment)
     return Track(np.stack(means, -2), np.stack(covs, -3), np.stack(increments, -1))
 
 

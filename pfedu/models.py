@@ -91,6 +91,8 @@ class StateSpaceModel:
             If the model has no ``measure``.
         """
         require(self, "measure", "simulating measurements")
+        if n_steps < 0:
+            raise ValueError(f"n_steps must be at least 0, got {n_steps}")
         rng_x, rng_y = rng.spawn(2)
         x = [self.sample_initial(n_runs or 1, rng_x)]  # each (runs, n_x)
         for k in range(1, n_steps + 1):
@@ -163,11 +165,11 @@ class AdditiveGaussian(StateSpaceModel):
     """
 
     def __init__(self, f, h, Q, R, m0, P0):
-        self.f, self.h = f, h
         self.m0 = np.atleast_1d(np.asarray(m0, dtype=float))  # (n_x,)
         self.w, self.v, self.x0 = Gaussian(Q, "Q"), Gaussian(R, "R"), Gaussian(P0, "P0")
         self.Q, self.R, self.P0 = self.w.cov, self.v.cov, self.x0.cov
         self.n_x, self.n_y = self.m0.size, self.v.n
+        self.f, self.h = _checked("f", f, self.n_x), _checked("h", h, self.n_y)
         for name, noise in (("Q", self.w), ("P0", self.x0)):
             if noise.n != self.n_x:
                 raise ValueError(f"{name} is {noise.n} x {noise.n}, but m0 has {self.n_x} states")
@@ -195,6 +197,18 @@ class AdditiveGaussian(StateSpaceModel):
     def log_likelihood(self, k, y, x):
         """Log density of the measurement y_k given the states: (...)."""
         return self.v.log_density(y - self.h(k, x))
+
+
+def _checked(name, function, n):
+    """The function, with its shape checked at each call: broadcasting would hide a lost component."""
+
+    def checked(k, x):
+        out = function(k, x)
+        if np.shape(out) != (*x.shape[:-1], n):
+            raise ValueError(f"{name}(k, x) must give shape {(*x.shape[:-1], n)} for x {x.shape}, got {np.shape(out)}")
+        return out
+
+    return checked
 
 
 class LinearGaussian(AdditiveGaussian):

@@ -97,9 +97,9 @@ def residual(weights, rng, size=None):
     [0, 0, 1, 2]
     """
     w, size = _check(weights, size)
-    copies = np.floor(size * w).astype(np.intp)  # (..., N), for certain
+    copies = np.floor(size * w + 1e-9).astype(np.intp)  # (..., N), for certain; 3 * (1/3) is one copy
     left = size - copies.sum(axis=-1, keepdims=True)  # (..., 1), places still free
-    fraction = size * w - copies
+    fraction = np.maximum(size * w - copies, 0.0)
     total = fraction.sum(axis=-1, keepdims=True)
     fraction = np.where(left > 0, fraction / np.where(left > 0, total, 1.0), w)
     draws = _particles_at(rng.random((*w.shape[:-1], size)), fraction)

@@ -1,0 +1,228 @@
+"""Models: each stated once, so that what is simulated is what is filtered."""
+
+import numpy as np
+import pytest
+from records import reference
+
+from pfedu.kalman import kalman_filter
+from pfedu.models import (
+    AdditiveGaussian,
+    LinearGaussian,
+    MissingPieceError,
+    StateSpaceModel,
+    growth,
+    local_level,
+    random_walk,
+    require,
+)
+
+F, H = np.array([[1.0, 0.5], [-0.2, 0.9]]), np.array([[1.0, 2.0]])
+Q, R, P0, M0 = np.array([[2.0, 0.5], [0.5, 1.0]]), 0.7, np.array([[1.0, -0.3], [-0.3, 2.0]]), np.array([1.0, -1.0])
+SEVERAL = 4.5  # standard errors: a handful of comparisons per test, each missed by chance once in 150 000
+
+
+def linear_2d():
+    return LinearGaussian(F=F, H=H, Q=Q, R=R, m0=M0, P0=P0)
+
+
+def standardised_mean(draws, mean, var):
+    """Distance of the sample mean from the mean, in standard errors, axis 0 being the draws."""
+    return np.abs(draws.mean(axis=0) - mean) / np.sqrt(var / len(draws))
+
+
+def test_simulated_moments_are_those_of_the_recursion():
+    """Catches Q used as a standard deviation, F transposed, and a state that is one step late.
+
+    Mean and covariance of x_3 follow from m <- F m, P <- F P F' + Q three times; y_3 adds H and R.
+    An entry of a sample covariance has variance (P_ii P_jj + P_ij^2) / n.
+    """
+    n, m, P = 40_000, M0, P0
+    x, y = linear_2d().simulate(3, np.random.default_rng(1), n_runs=n)
+    for _ in range(3):
+        m, P = F @ m, F @ P @ F.T + Q
+    m_y, S = H @ m, H @ P @ H.T + R
+    assert (standardised_mean(x[:, 3], m, np.diag(P)) < SEVERAL).all()
+    assert (standardised_mean(y[:, 3], m_y, np.diag(S)) < SEVERAL).all()
+    for sample, cov in ((x[:, 3], P), (y[:, 3], S), (x[:, 0], P0)):
+        se = np.sqrt((np.outer(np.diag(cov), np.diag(cov)) + cov**2) / n)
+        assert (np.abs(np.atleast_2d(np.cov(sample.T)) - cov) < SEVERAL * se).all()
+
+
+def test_rows_are_times():
+    """Catches a record that starts at time 1: with no noise, row k is k steps from the start."""
+    count = LinearGaussian(F=1.0, H=1.0, Q=0.0, R=0.0, m0=0.0, P0=0.0)
+    count.f = lambda k, x: x + k  # 0, 1, 3, 6: the sum of the times arrived at
+    x, y = count.simulate(3, np.random.default_rng(1))
+    assert x.tolist() == y.tolist() == [[0.0], [1.0], [3.0], [6.0]]
+
+
+@pytest.mark.parametrize(("n_runs", "lead"), [(None, ()), (1, (1,)), (5, (5,))])
+def test_simulate_shapes(n_runs, lead):
+    """Catches runs and times swapped, and a single run that keeps an axis nobody asked for."""
+    x, y = linear_2d().simulate(7, np.random.default_rng(1), n_runs=n_runs)
+    assert x.shape == (*lead, 8, 2) and y.shape == (*lead, 8, 1)
+
+
+def test_the_same_seed_simulates_the_same_bits():
+    """Catches randomness from anywhere but the generator, and one generator that repeats itself."""
+    rng = np.random.default_rng(1)
+    first, second = growth().simulate(20, rng), growth().simulate(20, rng)
+    again = growth().simulate(20, np.random.default_rng(1))
+    assert all(np.array_equal(a, b) for a, b in zip(first, again, strict=True))
+    assert not np.array_equal(first[0], second[0])
+
+
+@pytest.mark.parametrize("n_runs", [None, 3])
+def test_another_process_noise_scales_the_same_draws(n_runs):
+    """Common random numbers: catches a slider for q that draws another truth."""
+    small, large = (random_walk(q=q).simulate(30, np.random.default_rng(2), n_runs=n_runs) for q in (1.0, 9.0))
+    np.testing.assert_allclose(np.diff(large[0], axis=-2), 3 * np.diff(small[0], axis=-2), atol=1e-12)
+    np.testing.assert_array_equal(large[0][..., 0, :], small[0][..., 0, :])
+    np.testing.assert_allclose(large[1] - large[0], small[1] - small[0], atol=1e-12)  # noise of y untouched
+
+
+@pytest.mark.parametrize("make", [random_walk, growth])
+def test_another_measurement_noise_scales_the_same_draws(make):
+    """Common random numbers: catches a slider for r that changes the truth."""
+    (x, y), (same_x, louder) = (make(r=r).simulate(30, np.random.default_rng(2)) for r in (1.0, 4.0))
+    assert np.array_equal(x, same_x)
+    h = make().h(0, x)
+    np.testing.assert_allclose(louder - h, 2 * (y - h), atol=1e-12)
+
+
+@pytest.mark.parametrize("n_runs", [None, 3])
+def test_a_longer_record_begins_with_the_shorter(n_runs):
+    """Common random numbers: catches a slider for T that draws other noise for the measurements there were."""
+    short, long = (growth().simulate(n, np.random.default_rng(2), n_runs=n_runs) for n in (10, 20))
+    np.testing.assert_array_equal(long[0][..., :11, :], short[0])
+    np.testing.assert_array_equal(long[1][..., :11, :], short[1])
+
+
+def test_densities_are_those_of_the_draws():
+    """Catches a density that tells of another noise than the one drawn: Q for R, or m0 left out.
+
+    For x ~ p, E[-2 log p(x)] = log det(2 pi P) + n and Var[-2 log p(x)] = 2 n: known without the code's formula.
+    """
+    n, model, rng = 40_000, linear_2d(), np.random.default_rng(3)
+    x0 = model.sample_initial(n, rng)
+    x1 = model.propagate(1, x0, rng)
+    y1 = model.measure(1, x1, rng)
+    drawn = {
+        "P0": (model.log_initial(x0), P0),
+        "Q": (model.log_transition(1, x1, x0), Q),
+        "R": (model.log_likelihood(1, y1, x1), np.array([[R]])),
+    }
+    for name, (log_p, cov) in drawn.items():
+        mean, dim = np.linalg.slogdet(2 * np.pi * cov)[1] + len(cov), len(cov)
+        assert log_p.shape == (n,), name
+        assert abs((-2 * log_p).mean() - mean) < SEVERAL * np.sqrt(2 * dim / n), name
+
+
+def test_functions_broadcast_over_runs_and_particles():
+    """Catches leading axes that are flattened or mixed: (runs, N, n_x) in, the same out."""
+    model, x = linear_2d(), np.random.default_rng(4).standard_normal((3, 5, 2))
+    assert model.propagate(1, x, np.random.default_rng(1)).shape == (3, 5, 2)
+    assert model.measure(1, x, np.random.default_rng(1)).shape == (3, 5, 1)
+    y = np.arange(3.0).reshape(3, 1, 1)
+    log_g = model.log_likelihood(1, y, x)
+    assert log_g.shape == (3, 5)
+    for run in range(3):
+        np.testing.assert_allclose(log_g[run], model.log_likelihood(1, y[run], x[run]), rtol=1e-13)
+
+
+@pytest.mark.parametrize(("phase", "record"), [(0, "growth_A"), (1, "growth_C")])
+def test_growth_has_the_phase_of_its_record(phase, record):
+    """Catches a cosine one step off. The rest of f is odd and x_0 symmetric, so E[x_1] is the cosine alone."""
+    model, pred_mean = growth(phase=phase), reference(record)["pred_mean"]
+    assert model.f(1, np.zeros(1))[0] == pytest.approx(pred_mean[1], abs=1e-12)
+    assert pred_mean[1] == pytest.approx(8 * np.cos(1.2 * (1 - phase)), abs=1e-12)
+
+
+def test_growth_by_hand():
+    """Catches x^2 in the numerator, x^2/2 for x^2/20: f_1(2) = 1 + 50/5 + 8 cos 1.2, h(2) = 1/5."""
+    model = growth()
+    assert model.f(1, np.array([2.0]))[0] == pytest.approx(11 + 8 * np.cos(1.2), rel=1e-14)
+    assert model.h(1, np.array([2.0]))[0] == pytest.approx(0.2, rel=1e-14)
+
+
+def test_growth_is_the_system_of_its_record():
+    """Catches a model that the record was not made with: standardised noise of 50 steps must look like noise.
+
+    A sum of 50 squares of standard normals has mean 50 and variance 100.
+    """
+    for name, phase in (("growth_A", 0), ("growth_C", 1)):
+        data, model = reference(name), growth(phase=phase)
+        x, y = data["x_true"][:, None], data["y"][:, None]
+        moved = np.array([x[k] - model.f(k, x[k - 1]) for k in range(1, len(x))])
+        for squares in ((moved**2 / 10).sum(), ((y - model.h(0, x)) ** 2)[1:].sum()):
+            assert abs(squares - 50) < 4 * 10
+
+
+def test_random_walk_takes_variances():
+    """Catches q, r or p0 read as standard deviations, or swapped."""
+    model = random_walk(q=2.0, r=3.0, m0=4.0, p0=5.0)
+    assert [a.item() for a in (model.Q, model.R, model.m0, model.P0, model.F, model.H)] == [2, 3, 4, 5, 1, 1]
+
+
+def test_local_level_is_the_limit_of_a_flat_prior():
+    """Catches a first measurement used twice, or a start with the wrong variance.
+
+    A prior N(0, p0) updated by y_0 has mean y_0 p0/(p0 + r) and variance r p0/(p0 + r): off by a share r/p0.
+    """
+    y, p0, q, r = np.array([[1120.0], [1160.0], [963.0]]), 1e12, 1469.1, 15099.0
+    flat = kalman_filter(random_walk(q=q, r=r, p0=p0), y)
+    level = kalman_filter(local_level(1120.0, q=q, r=r), np.vstack([[[np.nan]], y[1:]]))
+    np.testing.assert_allclose(level.mean, flat.mean, rtol=2 * r / p0)
+    np.testing.assert_allclose(level.cov, flat.cov, rtol=2 * r / p0)
+    np.testing.assert_allclose(level.log_likelihood_increments[1:], flat.log_likelihood_increments[1:], rtol=1e-6)
+
+
+def test_a_missing_piece_is_named():
+    """Catches 'NoneType is not callable': the message tells the model, the piece and what asked for it."""
+    walk = StateSpaceModel(lambda n, rng: np.zeros((n, 1)), lambda k, x, rng: x, lambda k, y, x: -abs(y - x)[..., 0])
+    with pytest.raises(MissingPieceError, match="StateSpaceModel has no measure, which simulating measurements needs"):
+        walk.simulate(3, np.random.default_rng(1))
+    with pytest.raises(MissingPieceError, match="AdditiveGaussian has no F, which the Kalman filter needs"):
+        require(growth(), "F", "the Kalman filter")
+    require(random_walk(), "F", "the Kalman filter")
+
+
+@pytest.mark.parametrize("piece", ["sample_initial", "propagate", "log_likelihood", "measure", "log_initial"])
+def test_a_piece_that_is_no_function_is_named(piece):
+    """Catches a matrix handed over where a function belongs, found out a hundred lines later."""
+    pieces = dict.fromkeys(["sample_initial", "propagate", "log_likelihood"], print) | {piece: 3.0}
+    with pytest.raises(TypeError, match=f"{piece} must be a function, got 3.0"):
+        StateSpaceModel(**pieces)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"Q": 1.0}, "Q is 1 x 1, but m0 has 2 states"),
+        ({"P0": [1.0, 1.0, 1.0]}, "P0 is 3 x 3, but m0 has 2 states"),
+        ({"F": np.ones((2, 3))}, r"F must be \(2, 2\) to fit m0 and R, got \(2, 3\)"),
+        ({"H": np.eye(2)}, r"H must be \(1, 2\) to fit m0 and R, got \(2, 2\)"),
+        ({"Q": [[1.0, 2.0], [2.0, 1.0]]}, "Q is not positive semi-definite"),
+        ({"R": [[-1.0]]}, "R is not positive semi-definite"),
+        ({"P0": [[1.0, 0.5], [0.0, 1.0]]}, "P0 is not symmetric"),
+    ],
+)
+def test_pieces_that_do_not_fit_are_named(change, message):
+    """Catches shapes that broadcast: a missing transpose must not give a number."""
+    with pytest.raises(ValueError, match=message):
+        LinearGaussian(**(dict(F=F, H=H, Q=Q, R=R, m0=M0, P0=P0) | change))
+
+
+@pytest.mark.parametrize("name", ["f", "h"])
+def test_a_function_that_loses_a_component_is_an_error(name):
+    """Catches broadcasting inside the model: one component out of two is silently used for both."""
+    pieces = {"f": lambda k, x: x, "h": lambda k, x: x} | {name: lambda k, x: x[..., :1]}
+    model = AdditiveGaussian(**pieces, Q=[1.0, 1.0], R=[1.0, 1.0], m0=[0.0, 0.0], P0=[1.0, 1.0])
+    with pytest.raises(ValueError, match=rf"\b{name}\b"):
+        model.simulate(2, np.random.default_rng(1))
+
+
+def test_a_negative_number_of_steps_is_an_error():
+    """Catches a record of one row where none can be."""
+    with pytest.raises(ValueError, match="n_steps"):
+        random_walk().simulate(-3, np.random.default_rng(1))

@@ -1,0 +1,179 @@
+"""Weights: the arithmetic under every filter."""
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from pfedu.weights import ZeroLikelihoodError, effective_sample_size, normalize, weighted_cov, weighted_mean
+
+EPS = np.finfo(float).eps
+
+# A log weight is any finite number of the size a filter meets, or a weight of zero.
+log_weight = st.floats(-1e5, 1e5) | st.just(-np.inf)
+log_weights = st.lists(log_weight, min_size=1, max_size=40).filter(lambda log_w: max(log_w) > -np.inf)
+properties = settings(deadline=None, max_examples=100, derandomize=True)
+
+
+@properties
+@given(log_weights)
+def test_normalized_weights_sum_to_one_and_keep_their_ratios(log_w):
+    """Catches a sum taken without its peak, and a constant that is not the log of the sum."""
+    bar, log_sum = normalize(log_w)
+    assert math.fsum(np.exp(bar)) == pytest.approx(1.0, abs=4 * len(log_w) * EPS)
+    # log w = bar + log_sum; one rounding of numbers up to 2e5
+    finite = np.isfinite(log_w)
+    np.testing.assert_allclose((bar + log_sum)[finite], np.array(log_w)[finite], rtol=0, atol=4 * 2e5 * EPS)
+    assert (np.exp(bar)[~finite] == 0).all()
+
+
+@properties
+@given(st.lists(st.floats(0.01, 100), min_size=1, max_size=40))
+def test_log_sum_is_the_log_of_the_sum(w):
+    """Catches a constant off by log N, or one that leaves the peak out."""
+    assert normalize(np.log(w))[1] == pytest.approx(math.log(math.fsum(w)), abs=1e-12)
+
+
+@properties
+@given(log_weights, st.floats(-1e5, 1e5))
+def test_a_common_factor_changes_only_the_constant(log_w, shift):
+    """Catches any dependence of the weights on the scale of the likelihood."""
+    bar, log_sum = normalize(log_w)
+    moved, moved_sum = normalize(np.array(log_w) + shift)
+    atol = 8 * 4e5 * EPS  # both inputs are rounded at a size of up to 2e5
+    np.testing.assert_allclose(np.exp(moved), np.exp(bar), rtol=0, atol=atol)
+    assert moved_sum == pytest.approx(log_sum + shift, abs=atol)
+
+
+@pytest.mark.parametrize("level", [-1e5, 1e5])
+def test_extreme_likelihoods_neither_underflow_nor_overflow(level):
+    """exp(-1e5) is zero and exp(1e5) infinite in doubles: weights 3:1 must survive both."""
+    bar, log_sum = normalize([level, level - math.log(3.0)])
+    np.testing.assert_allclose(np.exp(bar), [0.75, 0.25], rtol=0, atol=4 * 1e5 * EPS)
+    assert log_sum == pytest.approx(level + math.log(4.0 / 3.0), abs=4 * 1e5 * EPS)
+
+
+def test_normalize_treats_each_run_alone():
+    """Catches a peak or a sum taken over all runs: run 0 would underflow beside run 1."""
+    log_w = np.array([[-1e4, -1e4, -np.inf], [0.0, 1.0, 2.0]])
+    bar, log_sum = normalize(log_w)
+    assert bar.shape == (2, 3) and log_sum.shape == (2,)
+    for run in range(2):
+        alone = normalize(log_w[run])
+        np.testing.assert_array_equal(bar[run], alone[0])
+        assert log_sum[run] == alone[1]
+
+
+def test_normalize_leaves_its_argument_alone():
+    """Catches an in-place subtraction, which would change the caller's history of weights."""
+    log_w = np.array([-1.0, -2.0])
+    normalize(log_w)
+    assert log_w.tolist() == [-1.0, -2.0]
+
+
+@pytest.mark.parametrize(
+    ("log_w", "message"),
+    [
+        ([0.0, np.nan], r"log weight nan at index \(1,\)"),
+        ([np.inf, 0.0], r"log weight inf at index \(0,\)"),
+        ([[0.0, 0.0], [np.nan, -np.inf]], r"log weight nan at index \(1, 0\)"),
+        ([], r"shape \(\.\.\., N\) with N >= 1, got shape \(0,\)"),
+        (1.0, r"shape \(\.\.\., N\) with N >= 1, got shape \(\)"),
+    ],
+)
+def test_bad_log_weights_are_named(log_w, message):
+    """Catches NaN that spreads silently through a whole run."""
+    with pytest.raises(ValueError, match=message):
+        normalize(log_w)
+    with pytest.raises(ValueError, match=message):
+        effective_sample_size(log_w)
+
+
+@pytest.mark.parametrize("log_w", [[-np.inf, -np.inf], [[0.0, 0.0], [-np.inf, -np.inf]]])
+def test_all_zero_weights_are_an_error_even_in_one_run_of_many(log_w):
+    """Catches 0/0: a dead run must not come back as NaN or as equal weights."""
+    with pytest.raises(ZeroLikelihoodError, match="all weights are zero"):
+        normalize(log_w)
+
+
+@properties
+@given(log_weights)
+def test_effective_sample_size_lies_between_one_and_n(log_w):
+    """Catches 1 / sum(w)^2, sum(w^2), and weights used before they are normalised."""
+    n_eff = effective_sample_size(log_w)
+    rounding = 1 + 8 * len(log_w) * EPS
+    assert 1 / rounding <= n_eff <= len(log_w) * rounding
+
+
+@properties
+@given(log_weights, st.integers(2, 5))
+def test_splitting_every_particle_multiplies_the_effective_number(log_w, copies):
+    """Catches a normalisation by N in the wrong place: k twins of each particle are k times as many."""
+    split = np.repeat(log_w, copies)
+    assert effective_sample_size(split) == pytest.approx(copies * effective_sample_size(log_w), rel=1e-9)
+
+
+def test_effective_sample_size_of_known_weights():
+    """By hand: 1 / (0.25 + 0.09 + 0.04) = 1 / 0.38; equal weights give N, a single one gives 1."""
+    log_w = np.log([[0.5, 0.3, 0.2], [2.0, 2.0, 2.0], [1e-300, 1.0, 1e-300]]) - 700
+    np.testing.assert_allclose(effective_sample_size(log_w), [1 / 0.38, 3.0, 1.0], rtol=1e-12)
+
+
+x_hand = np.array([[0.0, 1.0], [2.0, 3.0], [4.0, -1.0]])
+log_w_hand = np.log([0.5, 0.3, 0.2])
+
+
+def test_mean_and_covariance_by_hand():
+    """Catches the (N-1) or unbiased covariance, a transposed product, and weights used as logarithms."""
+    np.testing.assert_allclose(weighted_mean(x_hand, log_w_hand), [1.4, 1.2], rtol=1e-14)
+    np.testing.assert_allclose(weighted_cov(x_hand, log_w_hand), [[2.44, -0.68], [-0.68, 1.96]], rtol=1e-14)
+
+
+@properties
+@given(
+    st.lists(st.tuples(st.floats(-10, 10), st.floats(-10, 10), st.floats(-5, 5)), min_size=1, max_size=20),
+    st.tuples(*[st.floats(-3, 3)] * 6),
+)
+def test_mean_and_covariance_follow_an_affine_map(rows, coefficients):
+    """Catches a covariance that depends on the origin or mixes the axes up."""
+    table = np.array(rows)
+    x, log_w = table[:, :2], normalize(table[:, 2])[0]
+    A, b = np.reshape(coefficients[:4], (2, 2)), np.array(coefficients[4:])
+    np.testing.assert_allclose(weighted_mean(x @ A.T + b, log_w), A @ weighted_mean(x, log_w) + b, atol=1e-11)
+    np.testing.assert_allclose(weighted_cov(x @ A.T + b, log_w), A @ weighted_cov(x, log_w) @ A.T, atol=1e-9)
+
+
+def test_covariance_far_from_the_origin():
+    """Catches mean of squares minus square of mean: at 1e8 that loses all 16 digits of a variance of one."""
+    x = 1e8 + np.array([[-1.0], [1.0]])
+    np.testing.assert_array_equal(weighted_cov(x, np.log([0.5, 0.5])), [[1.0]])
+
+
+def test_covariance_is_symmetric_and_positive():
+    """Catches a product that is the covariance only on average."""
+    rng = np.random.default_rng(1)
+    x, log_w = rng.standard_normal((4, 50, 3)), normalize(rng.standard_normal((4, 50)))[0]
+    cov = weighted_cov(x, log_w)
+    np.testing.assert_allclose(cov, np.swapaxes(cov, -1, -2), rtol=1e-12)
+    assert (np.linalg.eigvalsh(cov) > 0).all()
+
+
+def test_moments_treat_each_run_alone():
+    """Catches a sum over the axis of runs."""
+    rng = np.random.default_rng(2)
+    x, log_w = rng.standard_normal((2, 3, 20, 2)), normalize(rng.standard_normal((2, 3, 20)))[0]
+    mean, cov = weighted_mean(x, log_w), weighted_cov(x, log_w)
+    assert mean.shape == (2, 3, 2) and cov.shape == (2, 3, 2, 2)
+    for run in np.ndindex(2, 3):
+        np.testing.assert_allclose(mean[run], weighted_mean(x[run], log_w[run]), rtol=1e-12)
+        np.testing.assert_allclose(cov[run], weighted_cov(x[run], log_w[run]), rtol=1e-12)
+
+
+@pytest.mark.parametrize("moment", [weighted_mean, weighted_cov])
+@pytest.mark.parametrize(("x", "log_w"), [((5,), (5,)), ((5, 2), (4,)), ((3, 5, 2), (5,)), ((2, 5), (5,))])
+def test_particles_and_weights_that_do_not_fit_are_an_error(moment, x, log_w):
+    """Catches broadcasting that gives a number of the right shape and the wrong value."""
+    with pytest.raises(ValueError, match="do not fit"):
+        moment(np.zeros(x), np.zeros(log_w))
