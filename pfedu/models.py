@@ -91,9 +91,9 @@ class StateSpaceModel:
             If the model has no ``measure``.
         """
         require(self, "measure", "simulating measurements")
-        if n_steps < 0:
-            raise ValueError(f"n_steps must be at least 0, got {n_steps}")
-        rng_x, rng_y = rng.spawn(2)
+        if n_steps < 0 or (n_runs is not None and n_runs < 1):
+            raise ValueError(f"n_steps must be at least 0 and n_runs at least 1, got {n_steps} and {n_runs}")
+        rng_x, rng_y = streams(rng, 2)
         x = [self.sample_initial(n_runs or 1, rng_x)]  # each (runs, n_x)
         for k in range(1, n_steps + 1):
             x.append(self.propagate(k, x[-1], rng_x))
@@ -128,6 +128,34 @@ def require(model, piece, purpose):
     """
     if getattr(model, piece, None) is None:
         raise MissingPieceError(f"{type(model).__name__} has no {piece}, which {purpose} needs")
+
+
+def streams(rng, n):
+    """Spawn n independent generators, so that what draws from one does not shift the other.
+
+    Parameters
+    ----------
+    rng : numpy.random.Generator
+    n : int
+
+    Returns
+    -------
+    list of numpy.random.Generator
+
+    Raises
+    ------
+    TypeError
+        If ``rng`` is anything else, such as a seed.
+
+    Examples
+    --------
+    >>> from pfedu.models import streams
+    >>> len(streams(np.random.default_rng(1), 2))
+    2
+    """
+    if not isinstance(rng, np.random.Generator):
+        raise TypeError(f"rng must be a numpy.random.Generator, e.g. numpy.random.default_rng(1); got {rng!r}")
+    return rng.spawn(n)
 
 
 class AdditiveGaussian(StateSpaceModel):

@@ -552,3 +552,15 @@ def test_a_row_that_is_nan_in_part_is_an_error():
     model = LinearGaussian(F=1.0, H=[[1.0], [2.0]], Q=1.0, R=[1.0, 1.0], m0=0.0, P0=1.0)
     with pytest.raises(ValueError, match=r"row \[1\] of the record is NaN in part"):
         run(model, [[1.0, 2.0], [1.0, NAN]], 10)
+
+
+def test_a_policy_by_name_is_an_error_that_says_what_to_give():
+    """Catches "'str' object is not callable"."""
+    with pytest.raises(TypeError, match=r"policy must be .*always or never of pfedu.resampling, got 'always'"):
+        pfedu.bootstrap_filter(random_walk(), [1.0], 5, rng=np.random.default_rng(1), policy="always")
+
+
+def test_a_missing_row_adds_exactly_nothing_to_the_log_likelihood():
+    """Catches the rounding of a sum of weights that passes for information."""
+    track = run(random_walk(), [1.0, NAN, NAN, 2.0], 7, policy=never)
+    assert track.log_likelihood_increments[1:3].tolist() == [0.0, 0.0]

@@ -226,3 +226,11 @@ def test_a_negative_number_of_steps_is_an_error():
     """Catches a record of one row where none can be."""
     with pytest.raises(ValueError, match="n_steps"):
         random_walk().simulate(-3, np.random.default_rng(1))
+
+
+def test_no_runs_and_a_seed_for_a_generator_are_errors():
+    """Catches one run where none was asked for, and 'int has no attribute spawn'."""
+    with pytest.raises(ValueError, match="n_runs at least 1, got 3 and 0"):
+        random_walk().simulate(3, np.random.default_rng(1), n_runs=0)
+    with pytest.raises(TypeError, match=r"default_rng\(1\); got 1"):
+        random_walk().simulate(3, 1)

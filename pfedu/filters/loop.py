@@ -6,7 +6,7 @@ estimates, N_eff, resampling, missing measurements, many runs at once) is here, 
 
 import numpy as np
 
-from pfedu.models import require
+from pfedu.models import require, streams
 from pfedu.resampling import scheme
 from pfedu.track import Track, read_record
 from pfedu.weights import ZeroLikelihoodError, normalize, weighted_cov, weighted_mean
@@ -65,9 +65,9 @@ def particle_filter(propose, model, y, n_particles, *, rng, resampling, policy, 
     >>> track.mean.shape
     (2, 1)
     """
-    y, missing, n_particles = _check(model, y, n_particles, n_runs)
+    y, missing, n_particles = _check(model, y, n_particles, n_runs, policy)
     pick, runs = scheme(resampling), y.shape[:-2]
-    rng_move, rng_pick = _generators(rng)
+    rng_move, rng_pick = streams(rng, 2)
     x = _start(model, runs, n_particles, rng_move)
     log_w = np.full(x.shape[:-1], -np.log(n_particles))
     ancestors = np.broadcast_to(np.arange(n_particles), log_w.shape)
@@ -77,6 +77,7 @@ def particle_filter(propose, model, y, n_particles, *, rng, resampling, policy, 
         # Propose and weigh
         x, log_g = advance(propose, model, k, y[..., k, :], missing[..., k], x, rng_move)
         log_w, increment = reweight(log_w, log_g, k)
+        increment = np.where(missing[..., k], 0.0, increment)
         # Estimate, before resampling adds its noise
         n_eff = 1.0 / np.exp(2.0 * log_w).sum(axis=-1)
         step = (weighted_mean(x, log_w), weighted_cov(x, log_w), increment, n_eff)
@@ -223,7 +224,11 @@ def resample(x, log_w, due, pick, rng):
     return x, np.where(due[..., None], -np.log(n), log_w), ancestors
 
 
-def _check(model, y, n_particles, n_runs):
+def _check(model, y, n_particles, n_runs, policy):
+    if not callable(policy):
+        raise TypeError(
+            f"policy must be ratio(share), interval(n), always or never of pfedu.resampling, got {policy!r}"
+        )
     for piece in ("sample_initial", "propagate", "log_likelihood"):
         require(model, piece, "a particle filter")
     for name, value in {"n_particles": n_particles, "n_runs": 1 if n_runs is None else n_runs}.items():
@@ -233,12 +238,6 @@ def _check(model, y, n_particles, n_runs):
     if n_runs is not None:
         y, missing = (np.broadcast_to(a, (int(n_runs), *a.shape)) for a in (y, missing))
     return y, missing, int(n_particles)
-
-
-def _generators(rng):
-    if not isinstance(rng, np.random.Generator):
-        raise TypeError(f"rng must be a numpy.random.Generator, e.g. numpy.random.default_rng(1); got {rng!r}")
-    return rng.spawn(2)
 
 
 def _start(model, runs, n, rng):
