@@ -57,8 +57,8 @@ def measure(page, address, path, name):
             continue
         times = []
         for position in positions(control):
-            stands = page.locator(f"[data-explorer={name}] [data-control={control.name}]").input_value()
-            if position is None or str(position) != stands:
+            stands = f"[data-explorer={name}] [data-control={control.name}]"
+            if position is None or str(position) != page.locator(stands).input_value():
                 times.append(page.evaluate(CHANGE, [name, control.name, position]))
         whole, python = (statistics.median(column) for column in zip(*times, strict=True))
         everything += [t[0] for t in times]

@@ -34,14 +34,15 @@ def as_cov(cov, name="cov"):
     >>> as_cov([1.0, 4.0]).tolist()
     [[1.0, 0.0], [0.0, 4.0]]
     """
-    cov = np.asarray(cov, dtype=float)
+    cov = np.array(cov, dtype=float)  # a copy: what the caller does to his array later changes no model
     if cov.ndim < 2:
         cov = np.diag(np.atleast_1d(cov))
     if cov.shape[-1] != cov.shape[-2]:
         raise ValueError(f"{name} must be a scalar, a vector of variances or a square matrix, got shape {cov.shape}")
     if not np.isfinite(cov).all():
         raise ValueError(f"{name} has an entry that is not finite: {cov.tolist()}")
-    if not np.allclose(cov, np.swapaxes(cov, -1, -2), rtol=1e-8, atol=1e-12 * np.abs(cov).max(initial=0.0)):
+    sd = np.sqrt(np.abs(np.diagonal(cov, axis1=-2, axis2=-1)))
+    if (np.abs(cov - np.swapaxes(cov, -1, -2)) > 1e-8 * sd[..., None] * sd[..., None, :]).any():
         raise ValueError(f"{name} is not symmetric: {cov.tolist()}")
     return cov
 
@@ -126,7 +127,7 @@ class Gaussian:
         self.root = sqrt_cov(self.cov, name)
         diagonal, sd = np.diag(self.root), np.sqrt(np.diag(self.cov))
         # what is left of each standard deviation once the others are known: rounding alone leaves about 1e-8
-        self.is_singular = not np.array_equal(self.root, np.tril(self.root)) or (diagonal <= 1e-7 * sd).any()
+        self.is_singular = not np.array_equal(self.root, np.tril(self.root)) or (diagonal <= 1e-6 * sd).any()
         if not self.is_singular:
             self._whiten = np.linalg.inv(self.root)
             self._log_norm = -0.5 * self.n * _LOG_2PI - np.log(diagonal).sum()
@@ -189,7 +190,7 @@ def log_density(x, mean, cov):
     Raises
     ------
     ValueError
-        If the covariance is not positive definite.
+        If the covariance is not positive definite or its size does not fit.
 
     Examples
     --------
@@ -197,8 +198,10 @@ def log_density(x, mean, cov):
     >>> round(float(log_density([1.0], [0.0], 1.0)), 4)
     -1.4189
     """
-    d = np.asarray(x, dtype=float) - np.asarray(mean, dtype=float)
+    d = np.atleast_1d(np.asarray(x, dtype=float) - np.asarray(mean, dtype=float))
     cov = as_cov(cov)
+    if d.shape[-1] != cov.shape[-1]:
+        raise ValueError(f"points of {d.shape[-1]} components do not fit a covariance of shape {cov.shape}")
     try:
         root = np.linalg.cholesky(cov)
     except np.linalg.LinAlgError as error:

@@ -17,9 +17,9 @@ def grid_filter(model, y, grid, *, tolerance=1e-3):
         p(x_k \mid Y_{k-1}) &= \int p(x_k \mid x_{k-1})\, p(x_{k-1} \mid Y_{k-1})\, dx_{k-1} \\
         p(x_k \mid Y_k) &= p(y_k \mid x_k)\, p(x_k \mid Y_{k-1}) / p(y_k \mid Y_{k-1})
 
-    Integrals are trapezoidal. On evenly spaced nodes the error for a smooth density that vanishes at
-    both ends falls faster than any power of the spacing; on uneven nodes it falls with the square of
-    the spacing. Source: Simon, *Optimal State Estimation* (2006), section 15.1.
+    Integrals are trapezoidal. On evenly spaced nodes the error for a smooth density that fades out
+    before both ends falls faster than any power of the spacing; on uneven nodes it falls, in general,
+    with the square of the spacing. Source: Simon, *Optimal State Estimation* (2006), section 15.1.
 
     Parameters
     ----------
@@ -42,9 +42,10 @@ def grid_filter(model, y, grid, *, tolerance=1e-3):
     MissingPieceError
         If the model lacks a density.
     GridError
-        If probability is lost beyond the ends or between the nodes: the message gives the step.
+        If the grid is too narrow, or too coarse for a density or for the motion of the model: the
+        message gives the step and what to change.
     ValueError
-        If grid or record have the wrong shape.
+        If the grid, the record or what a function of the model gives has the wrong shape.
 
     Examples
     --------
@@ -55,18 +56,18 @@ def grid_filter(model, y, grid, *, tolerance=1e-3):
     >>> bool(np.allclose(track.mean, exact.mean, atol=1e-9))
     True
     """
-    for piece in ("log_initial", "log_transition"):
+    for piece in ("log_initial", "log_transition", "log_likelihood"):
         require(model, piece, "the grid filter")
     y, missing = read_record(y, model.n_y)
     nodes = _check_grid(model, grid)
     dx = trapezoid_weights(nodes)
     x = nodes[:, None]  # (G, 1): one state a node
-    p = np.broadcast_to(np.exp(model.log_initial(x)), (*y.shape[:-2], nodes.size))
+    p = np.exp(_shaped("log_initial", model.log_initial(x), (nodes.size,)))
+    p = np.broadcast_to(p, (*y.shape[:-2], nodes.size))
     densities, increments = [], []
     for k in range(y.shape[-2]):
         if k > 0:
-            moves = np.exp(model.log_transition(k, x[:, None], x[None, :]))  # (G new, G old)
-            p = (p * dx) @ moves.T
+            p = _predict(model, k, x, p * dx, dx)
         _check_mass(p, dx, k, tolerance)
         p, increment = _correct(model, k, y[..., k, :], missing[..., k], x, p, dx)
         densities.append(p)
@@ -100,19 +101,47 @@ def trapezoid_weights(grid):
     return 0.5 * (np.append(gap, 0.0) + np.append(0.0, gap))
 
 
+def _predict(model, k, x, mass, dx):
+    """Sum over where each node's probability may have come from: once over the even nodes, once over the odd.
+
+    Either half alone is a sum with twice the spacing. Where the two disagree, the density of arriving at a node,
+    as a function of where one started, is narrower than the spacing, and their mean cannot be trusted either.
+    """
+    log_moves = model.log_transition(k, x[:, None], x[None, :])
+    moves = np.exp(_shaped("log_transition", log_moves, (dx.size, dx.size)))  # (G new, G old)
+    even, odd = 2.0 * mass[..., ::2] @ moves[:, ::2].T, 2.0 * mass[..., 1::2] @ moves[:, 1::2].T
+    apart = 0.5 * (np.abs(even - odd) @ dx).max()
+    if apart > 0.05:
+        raise GridError(
+            f"the step to time {k} is narrower than the grid can see: with every second node the prediction changes "
+            f"by {apart:.2g} of its probability; use a finer grid where the model moves nearby states far apart"
+        )
+    return 0.5 * (even + odd)
+
+
+def _shaped(name, values, shape):
+    if np.shape(values) != shape:
+        raise ValueError(f"{name} must give shape {shape} on this grid, it gave {np.shape(values)}")
+    return values
+
+
 def _correct(model, k, y, missing, x, p, dx):
     """Multiply by the likelihood and normalise; a missing measurement leaves p as it is."""
     if missing.all():
-        return p, np.zeros(missing.shape)
-    log_g = np.where(missing[..., None], 0.0, model.log_likelihood(k, y[..., None, :], x))  # (..., G)
-    peak = log_g.max(axis=-1, keepdims=True)
-    joint = p * np.exp(log_g - peak)
+        return p / (p @ dx)[..., None], np.zeros(missing.shape)
+    log_g = _shaped("log_likelihood", model.log_likelihood(k, y[..., None, :], x), p.shape)
+    with np.errstate(divide="ignore"):  # no probability is a logarithm of -inf
+        log_joint = np.log(p) + np.where(missing[..., None], 0.0, log_g)  # (..., G)
+    peak = log_joint.max(axis=-1, keepdims=True)
+    if not (peak > -np.inf).all():
+        raise GridError(
+            f"at step {k} no node has both probability and likelihood: the measurement lies too far from the "
+            "prediction for a double, or beyond the grid"
+        )
+    joint = np.exp(log_joint - peak)
     evidence = joint @ dx
-    if not (evidence > 0).all():
-        raise GridError(f"at step {k} the likelihood is zero at every node that has probability: widen the grid")
-    _check_fine(joint, dx, k)
-    posterior = np.where(missing[..., None], p, joint / evidence[..., None])
-    return posterior, np.where(missing, 0.0, np.log(evidence) + peak[..., 0])
+    _check_fine(joint / evidence[..., None] * dx, k)
+    return joint / evidence[..., None], np.where(missing, 0.0, np.log(evidence) + peak[..., 0])
 
 
 def _check_grid(model, grid):
@@ -141,9 +170,11 @@ def _check_mass(p, dx, k, tolerance):
         )
 
 
-def _check_fine(joint, dx, k):
+def _check_fine(w, k):
     """A peak needs about as many nodes as its full width: below 3 the sum is no longer the integral."""
-    w = joint * dx
-    n_eff = w.sum(axis=-1) ** 2 / np.sum(w * w, axis=-1)
-    if (n_eff < 3).any():
-        raise GridError(f"at step {k} the posterior rests on {n_eff.min():.2g} nodes: use a finer grid there")
+    n_eff = 1.0 / np.max(np.sum(w * w, axis=-1))
+    if n_eff < 3:
+        raise GridError(
+            f"at step {k} the posterior rests on {n_eff:.2g} nodes: use a finer grid there, or a wider one if it lies "
+            "beyond the ends"
+        )

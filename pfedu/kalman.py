@@ -16,7 +16,7 @@ def kalman_filter(model, y):
         m &= m^- + K (y - H m^-), & P &= (I - K H) P^- (I - K H)^\top + K R K^\top
 
     Source: Simon, *Optimal State Estimation* (2006), section 5.1; the covariance in Joseph's form,
-    which stays symmetric and positive.
+    which rounding leaves symmetric and positive where shorter forms drift.
 
     Parameters
     ----------
@@ -34,7 +34,7 @@ def kalman_filter(model, y):
     MissingPieceError
         If the model is not linear (has no F).
     ValueError
-        If the record does not fit the model.
+        If the record does not fit the model, or the covariance of an innovation is singular.
 
     Examples
     --------
@@ -105,6 +105,11 @@ def correct(m, P, y, H, R):
     log_likelihood : ndarray, shape (...)
         Log density of y under N(H m, H P H' + R).
 
+    Raises
+    ------
+    ValueError
+        If the covariance of the innovation is singular.
+
     Examples
     --------
     >>> from pfedu.kalman import correct
@@ -113,7 +118,12 @@ def correct(m, P, y, H, R):
     ([0.5], [[0.5]], -1.5155)
     """
     S = H @ P @ H.T + R
-    K = np.swapaxes(np.linalg.solve(S, H @ P), -1, -2)  # P and S are symmetric
+    try:
+        K = np.swapaxes(np.linalg.solve(S, H @ P), -1, -2)  # P and S are symmetric
+    except np.linalg.LinAlgError as error:
+        raise ValueError(
+            "S = H P H' + R is singular: a measurement without noise of something known for certain"
+        ) from error
     A = np.eye(m.shape[-1]) - K @ H
     innovation = y - m @ H.T
     m_new = m + (K @ innovation[..., None])[..., 0]

@@ -96,7 +96,7 @@ class StateSpaceModel:
         rng_x, rng_y = streams(rng, 2)
         x = [self.sample_initial(n_runs or 1, rng_x)]  # each (runs, n_x)
         for k in range(1, n_steps + 1):
-            x.append(self.propagate(k, x[-1], rng_x))
+            x.append(self.propagate(k, read_only(x[-1]), rng_x))
         y = [self.measure(k, x_k, rng_y) for k, x_k in enumerate(x)]
         x, y = np.stack(x, axis=1), np.stack(y, axis=1)  # (runs, T+1, n)
         return (x, y) if n_runs else (x[0], y[0])
@@ -128,6 +128,29 @@ def require(model, piece, purpose):
     """
     if getattr(model, piece, None) is None:
         raise MissingPieceError(f"{type(model).__name__} has no {piece}, which {purpose} needs")
+
+
+def read_only(x):
+    """Give a view of an array that a model's function cannot change by mistake.
+
+    Parameters
+    ----------
+    x : ndarray
+
+    Returns
+    -------
+    ndarray
+        The same numbers; writing to them is an error.
+
+    Examples
+    --------
+    >>> from pfedu.models import read_only
+    >>> read_only(np.zeros(2)).flags.writeable
+    False
+    """
+    x = x.view()
+    x.flags.writeable = False
+    return x
 
 
 def streams(rng, n):
@@ -193,7 +216,9 @@ class AdditiveGaussian(StateSpaceModel):
     """
 
     def __init__(self, f, h, Q, R, m0, P0):
-        self.m0 = np.atleast_1d(np.asarray(m0, dtype=float))  # (n_x,)
+        self.m0 = np.atleast_1d(np.array(m0, dtype=float))  # (n_x,)
+        if self.m0.ndim != 1 or not np.isfinite(self.m0).all():
+            raise ValueError(f"m0 must be a vector (n_x,) of finite numbers, got {np.asarray(m0).tolist()}")
         self.w, self.v, self.x0 = Gaussian(Q, "Q"), Gaussian(R, "R"), Gaussian(P0, "P0")
         self.Q, self.R, self.P0 = self.w.cov, self.v.cov, self.x0.cov
         self.n_x, self.n_y = self.m0.size, self.v.n
@@ -267,7 +292,7 @@ class LinearGaussian(AdditiveGaussian):
     """
 
     def __init__(self, F, H, Q, R, m0, P0):
-        self.F, self.H = (np.atleast_2d(np.asarray(a, dtype=float)) for a in (F, H))
+        self.F, self.H = (np.atleast_2d(np.array(a, dtype=float)) for a in (F, H))
         super().__init__(lambda k, x: _apply(self.F, x), lambda k, x: _apply(self.H, x), Q, R, m0, P0)
         wanted = {"F": (self.n_x, self.n_x), "H": (self.n_y, self.n_x)}
         for name, shape in wanted.items():

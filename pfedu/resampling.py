@@ -113,8 +113,8 @@ def _check(weights, size):
     if w.ndim == 0 or w.shape[-1] == 0:
         raise ValueError(f"weights need shape (..., N) with N >= 1, got shape {w.shape}")
     size = w.shape[-1] if size is None else size
-    if size < 1:
-        raise ValueError(f"size must be at least 1, got {size}")
+    if not isinstance(size, int | np.integer) or size < 1:
+        raise ValueError(f"size must be a whole number of at least 1, got {size}")
     total = w.sum(axis=-1, dtype=float)
     if not np.isfinite(total).all():
         raise ValueError(f"weights must be finite, got {_first(w, ~np.isfinite(w))}")
@@ -226,7 +226,7 @@ class ratio:
 
     def __call__(self, n_eff, n, count):
         """Whether to resample now: bool of the shape of ``n_eff``."""
-        return n_eff < self.threshold * n
+        return n_eff < self.threshold * n * (1.0 - 1e-9)  # equal weights are not below N by rounding
 
 
 @dataclass(frozen=True)

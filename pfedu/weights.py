@@ -91,7 +91,7 @@ def effective_sample_size(log_w):
     2.0
     """
     w = np.exp(normalize(log_w)[0])
-    return 1.0 / np.sum(w * w, axis=-1)
+    return np.minimum(1.0 / np.sum(w * w, axis=-1), w.shape[-1])  # not above N by rounding
 
 
 def weighted_mean(x, log_w):

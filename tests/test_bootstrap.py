@@ -564,3 +564,44 @@ def test_a_missing_row_adds_exactly_nothing_to_the_log_likelihood():
     """Catches the rounding of a sum of weights that passes for information."""
     track = run(random_walk(), [1.0, NAN, NAN, 2.0], 7, policy=never)
     assert track.log_likelihood_increments[1:3].tolist() == [0.0, 0.0]
+
+
+def test_a_propagate_that_works_in_place_is_an_error():
+    """Catches x += noise: every kept step would be the last one."""
+
+    def propagate(k, x, rng):
+        x += 1.0
+        return x
+
+    with pytest.raises(ValueError, match="read-only"):
+        run(march(propagate=propagate), [0.0, 1.0], 5)
+
+
+def test_a_proposal_that_looks_at_the_measurement_may_meet_a_missing_one_in_another_run():
+    """Catches NaN particles of the run that misses what the others have."""
+
+    def propose(k, y, x, rng):
+        return 0.5 * (model.propagate(k, x, rng) + y), np.zeros(x.shape[:-1])
+
+    model, y = random_walk(q=1.0), np.ones((2, 4, 1))
+    y[0, 2] = NAN
+    options = dict(rng=np.random.default_rng(1), resampling="systematic", policy=always)
+    track = pfedu.filters.loop.particle_filter(propose, model, y, 50, **options)
+    assert np.isfinite(track.mean).all() and track.log_likelihood_increments[0, 2] == 0.0
+
+
+def test_resampling_of_the_wrong_shape_is_an_error():
+    """Catches one ancestor broadcast to every particle."""
+    with pytest.raises(ValueError, match=r"resampling must give whole numbers of shape \(5,\), it gave int64 \(1,\)"):
+        run(random_walk(), [1.0], 5, policy=always, resampling=lambda w, rng, size=None: np.array([3], np.int64))
+
+
+def test_a_lost_run_is_named():
+    """Catches a study of a hundred runs ended by one that nobody can find."""
+    model = StateSpaceModel(
+        sample_initial=lambda n, rng: np.zeros((n, 1)),
+        propagate=lambda k, x, rng: x,
+        log_likelihood=lambda k, y, x: np.where(np.abs(y - x)[..., 0] < 1, 0.0, -np.inf),
+    )
+    with pytest.raises(ZeroLikelihoodError, match=r"step 1, run \[2\]: every particle has likelihood zero"):
+        run(model, np.array([[0.0, 0.0], [0.0, 0.5], [0.0, 9.0]])[..., None], 5)

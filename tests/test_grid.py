@@ -126,7 +126,7 @@ def test_a_narrow_grid_is_an_error(nodes, step):
 
 def test_a_coarse_grid_is_an_error():
     """Catches a transition so sharp that it falls between nodes, or is counted several times on one."""
-    with pytest.raises(GridError, match=r"step 1 the density integrates to 3\.989 .* use a finer grid"):
+    with pytest.raises(GridError, match=r"the step to time 1 is narrower than the grid can see: .* finer grid"):
         grid_filter(random_walk(q=0.01), [[NAN], [1.0]], np.linspace(-20, 20, 41))
 
 
@@ -145,7 +145,9 @@ def test_a_measurement_sharper_than_the_grid_is_an_error():
 
 def test_a_measurement_far_outside_the_grid_is_an_error():
     """Catches 0/0 where no node can explain the measurement."""
-    with pytest.raises(GridError, match="at step 0 the likelihood is zero at every node that has probability"):
+    with pytest.raises(
+        GridError, match=r"at step 0 the posterior rests on 1 nodes: .* wider one if it lies beyond the ends"
+    ):
         grid_filter(random_walk(r=0.01, p0=0.5), [[60.0]], EVEN)
 
 
@@ -189,3 +191,36 @@ def test_bad_records_are_named(y, message):
     """Catches a filter that skips the common check of its record."""
     with pytest.raises(ValueError, match=message):
         grid_filter(random_walk(), y, EVEN)
+
+
+@pytest.mark.parametrize(("q", "nodes"), [(1.0, 201), (1.0, 501), (10.0, 201)])
+def test_a_grid_too_coarse_for_the_motion_is_an_error(q, nodes):
+    """Catches a posterior off by standard deviations: about zero the growth model moves neighbours 25 times apart."""
+    y = growth(q=q).simulate(50, np.random.default_rng(1))[1]
+    with pytest.raises(GridError, match=r"the step to time \d+ is narrower than the grid can see"):
+        grid_filter(growth(q=q), y, np.linspace(-50, 50, nodes))
+
+
+def test_what_passes_the_checks_is_accurate():
+    """Catches a check that lets a coarse grid through: what is accepted is right to a twentieth of a deviation."""
+    y = growth(q=1.0).simulate(50, np.random.default_rng(1))[1]
+    fine = grid_filter(growth(q=1.0), y, np.linspace(-50, 50, 4001))
+    accepted = grid_filter(growth(q=1.0), y, np.linspace(-50, 50, 1601))
+    assert (np.abs(accepted.mean - fine.mean) < 0.05 * fine.sd).all()
+
+
+def test_a_likelihood_of_the_wrong_shape_is_an_error():
+    """Catches y - x[..., 0], which gives one number for the whole grid and a posterior that never moves."""
+    walk = random_walk()
+    model = StateSpaceModel(
+        walk.sample_initial, walk.propagate, lambda k, y, x: walk.v.log_density(y - x[..., 0]),
+        log_initial=walk.log_initial, log_transition=walk.log_transition)  # fmt: skip
+    with pytest.raises(ValueError, match=r"log_likelihood must give shape \(601,\) on this grid"):
+        grid_filter(model, [[1.0]], np.linspace(-30, 30, 601))
+
+
+def test_a_measurement_far_from_the_prediction_does_not_underflow():
+    """Catches a likelihood whose peak lies where the prediction has underflowed: 60 is 35 deviations away."""
+    model, y = random_walk(q=1.0, r=1.0, p0=1.0), [[0.0], [0.0], [45.0]]
+    track, exact = grid_filter(model, y, np.linspace(-80, 140, 4401)), kalman_filter(model, y)
+    np.testing.assert_allclose(track.mean, exact.mean, atol=1e-8)

@@ -202,3 +202,9 @@ def test_bad_records_are_named(y, message):
     """Catches a filter that skips the common check of its record."""
     with pytest.raises(ValueError, match=message):
         kalman_filter(three_states(), y)
+
+
+def test_a_certain_state_measured_without_noise_is_an_error():
+    """Catches 'Singular matrix' from three calls down."""
+    with pytest.raises(ValueError, match="S = H P H' \\+ R is singular"):
+        kalman_filter(random_walk(q=0.0, r=0.0, p0=0.0), [[1.0]])

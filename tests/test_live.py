@@ -115,18 +115,17 @@ def test_worker_draws_what_the_stage_draws():
 def test_frames_are_of_the_position_they_are_named_for(tmp_path):
     """Frames mixed up: the first drag would show another position's picture."""
     drawn, explorer = _draw_layout("sir", {"N": 100}, tmp_path, "wide"), load("sir")
-    for control, index in (("k", 50), ("scheme", 0), ("N", 0)):
-        params = explorer.check({"N": 100}) | {
-            control: next(c for c in explorer.controls if c.name == control).values[index]
-        }
-        pixels, shown = Stage(explorer, "wide").draw(params)
-        assert tuple(drawn["frames"][control][index]) == (shown.sentence, shown.numbers)
-        np.testing.assert_array_equal(
-            _picture((tmp_path / f"wide-{control}-{index}.png").read_bytes()), _picture(small_png(pixels))
-        )
+    start, stage = explorer.check({"N": 100}), Stage(explorer, "wide")
+    for moved in ({}, {"k": 50}, {"scheme": "residual"}, {"N": 10}, {"model": "random walk", "r": 20.0}):
+        key = explorer.key(start, start | moved)
+        pixels, shown = stage.draw(start | moved)
+        assert tuple(drawn["frames"][key]) == (shown.sentence, shown.numbers)
+        saved = (tmp_path / f"wide-{key}.png").read_bytes()
+        np.testing.assert_array_equal(_picture(saved), _picture(small_png(pixels)))
     for control in explorer.controls:  # a first drag finds a frame wherever it goes, both ends included
-        frames = drawn["frames"][control.name]
-        assert {0} <= set(frames) and (isinstance(control, Seed) or len(control.values) - 1 in frames)
+        ends = {0, 1} if isinstance(control, Seed) else {0, len(control.values) - 1}
+        for end in ends - {control.values.index(start[control.name])}:
+            assert f"{control.name}-{end}" in drawn["frames"]
 
 
 def test_pictures_keep_their_pixels():

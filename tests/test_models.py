@@ -234,3 +234,18 @@ def test_no_runs_and_a_seed_for_a_generator_are_errors():
         random_walk().simulate(3, np.random.default_rng(1), n_runs=0)
     with pytest.raises(TypeError, match=r"default_rng\(1\); got 1"):
         random_walk().simulate(3, 1)
+
+
+@pytest.mark.parametrize("m0", [[[0.0], [10.0]], [0.0, np.nan]])
+def test_an_initial_mean_that_is_no_vector_of_numbers_is_an_error(m0):
+    """Catches a column vector, which broadcasting turns into one draw per state."""
+    with pytest.raises(ValueError, match=r"m0 must be a vector \(n_x,\) of finite numbers"):
+        LinearGaussian(F=np.eye(2), H=[[1.0, 0.0]], Q=[1.0, 1.0], R=1.0, m0=m0, P0=[1.0, 1.0])
+
+
+def test_a_model_keeps_its_own_copy_of_what_it_was_given():
+    """Catches two filters that solve different models because an array was changed afterwards."""
+    Q = np.array([[10.0]])
+    model = LinearGaussian(F=1.0, H=1.0, Q=Q, R=1.0, m0=0.0, P0=5.0)
+    Q *= 100
+    assert model.Q.item() == 10.0

@@ -231,7 +231,7 @@ def test_counts_stay_near_their_expectation(w, size, seed):
         ([-0.7, -1.6], None, "weights must not be negative"),  # logarithms handed over by mistake
         ([], None, r"shape \(\.\.\., N\) with N >= 1, got shape \(0,\)"),
         (1.0, None, r"shape \(\.\.\., N\) with N >= 1, got shape \(\)"),
-        ([0.5, 0.5], 0, "size must be at least 1, got 0"),
+        ([0.5, 0.5], 0, "size must be a whole number of at least 1, got 0"),
     ],
 )
 def test_bad_weights_are_named(resample, weights, size, message):

@@ -118,6 +118,6 @@ def geometric(low, high, count):
     >>> geometric(10, 1000, 5)
     (10, 32, 100, 320, 1000)
     """
-    values = [float(f"{v:.2g}") for v in np.geomspace(low, high, count)]
+    values = [low, *(float(f"{v:.2g}") for v in np.geomspace(low, high, count)[1:-1]), high]
     kind = int if low >= 10 else float
     return tuple(dict.fromkeys(kind(v) for v in values))

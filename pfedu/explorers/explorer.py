@@ -37,6 +37,8 @@ class Explorer:
         artists that will change.
     update : callable
         ``(artists, axes, **params) -> Shown``: give the artists new data.
+    also : tuple of dict
+        Combinations that the text asks for, drawn beforehand beside each control moved alone.
 
     Examples
     --------
@@ -58,6 +60,7 @@ class Explorer:
     layouts: dict
     build: Callable
     update: Callable
+    also: tuple = ()
 
     def defaults(self):
         """Where all controls start: dict of name to value."""
@@ -85,10 +88,39 @@ class Explorer:
                 raise ValueError(f"no control {name!r}: there are {', '.join(known)}")
             if value not in known[name].values:
                 raise ValueError(f"control {name!r} has no position {value!r}: choose one of {known[name].values}")
-        return self.defaults() | params
+        own = {name: known[name].values[known[name].values.index(value)] for name, value in params.items()}
+        return self.defaults() | own  # the control's own value: 500, where 500.0 was given
 
-    def moved_alone(self, params):
-        """Each control moved alone from ``params``: yields (name, value, params)."""
-        for control in self.controls:
-            for value in dict.fromkeys((*control.frames(), params[control.name])):
-                yield control.name, value, params | {control.name: value}
+    def beforehand(self, start):
+        """Yield what is drawn before Python is up: the start, each control moved alone, and ``also``.
+
+        Parameters
+        ----------
+        start : dict
+            A value for each control.
+
+        Yields
+        ------
+        dict
+            A value for each control; the first is the start, and none comes twice.
+        """
+        alone = ({control.name: value} for control in self.controls for value in control.frames())
+        seen = []
+        for moved in ({}, *alone, *self.also):
+            params = start | moved
+            if params not in seen:
+                seen.append(params)
+                yield params
+
+    def key(self, start, params):
+        """Name of what is shown at ``params``: the moved controls and their positions, or ``start``.
+
+        Examples
+        --------
+        >>> from pfedu.explorers import load
+        >>> sir = load("sir")
+        >>> sir.key(sir.defaults(), sir.check({"N": 10, "particles": 3}))
+        'N-0-particles-2'
+        """
+        moved = [c for c in self.controls if params[c.name] != start[c.name]]
+        return "-".join(f"{c.name}-{c.values.index(params[c.name])}" for c in moved) or "start"

@@ -37,7 +37,8 @@ def plot_waterfall(ax, x, densities, *, times=None, height=4.0, color=COLORS["ex
     """
     densities = np.asarray(densities, dtype=float)
     times = np.arange(len(densities)) if times is None else np.asarray(times)
-    rows = times[:, None] + densities * (height / densities.max())
+    step = np.median(np.diff(times)) if len(times) > 1 else 1.0
+    rows = times[:, None] + densities * (height * step / densities.max())
     lines = []
     for k in range(len(rows) - 1, -1, -1):  # the far rows first, so that near ones cover them
         ax.fill_between(x, times[k], rows[k], color="white", lw=0, zorder=2 * (len(rows) - k))

@@ -6,10 +6,10 @@ estimates, N_eff, resampling, missing measurements, many runs at once) is here, 
 
 import numpy as np
 
-from pfedu.models import require, streams
+from pfedu.models import read_only, require, streams
 from pfedu.resampling import scheme
 from pfedu.track import Track, read_record
-from pfedu.weights import ZeroLikelihoodError, normalize, weighted_cov, weighted_mean
+from pfedu.weights import ZeroLikelihoodError, effective_sample_size, normalize, weighted_cov, weighted_mean
 
 
 def particle_filter(propose, model, y, n_particles, *, rng, resampling, policy, keep=False, n_runs=None):
@@ -19,8 +19,8 @@ def particle_filter(propose, model, y, n_particles, *, rng, resampling, policy, 
     ----------
     propose : callable
         ``(k, y, x, rng) -> (x, log_g)``: particles (..., N, n_x) of time k drawn from those of time
-        k-1, and what their weights (..., N) are multiplied by. Not called where no run has a
-        measurement; the particles are then propagated by the model.
+        k-1, and what their weights (..., N) are multiplied by. Runs without a measurement are
+        propagated by the model instead (where others have one, ``y`` is NaN in theirs).
     model : StateSpaceModel
     y : array_like, shape (..., T+1, n_y)
         Measurements; a row of NaN is missing: predicted over, not corrected, not resampled.
@@ -79,7 +79,7 @@ def particle_filter(propose, model, y, n_particles, *, rng, resampling, policy, 
         log_w, increment = reweight(log_w, log_g, k)
         increment = np.where(missing[..., k], 0.0, increment)
         # Estimate, before resampling adds its noise
-        n_eff = 1.0 / np.exp(2.0 * log_w).sum(axis=-1)
+        n_eff = effective_sample_size(log_w)
         step = (weighted_mean(x, log_w), weighted_cov(x, log_w), increment, n_eff)
         kept = (x, log_w, ancestors) if keep else (None, None, None)
         # Resample
@@ -125,6 +125,7 @@ def advance(propose, model, k, y, missing, x, rng):
     >>> x.shape, log_g.round(4).tolist()
     ((4, 1), [-1.4189, -1.4189, -1.4189, -1.4189])
     """
+    x = read_only(x)
     if missing.all():
         new = model.propagate(k, x, rng) if k > 0 else x
         log_g = np.zeros(x.shape[:-1])
@@ -132,6 +133,8 @@ def advance(propose, model, k, y, missing, x, rng):
         new, log_g = x, model.log_likelihood(k, y[..., None, :], x)
     else:
         new, log_g = propose(k, y[..., None, :], x, rng)
+        if missing.any():  # a run without a measurement has nothing to propose by
+            new = np.where(missing[..., None, None], model.propagate(k, x, rng), new)
     if np.shape(new) != x.shape:
         raise ValueError(f"step {k}: propagate must keep the shape {x.shape} of the particles, it gave {np.shape(new)}")
     if np.shape(log_g) != x.shape[:-1]:
@@ -178,9 +181,11 @@ def reweight(log_w, log_g, k):
     try:
         return normalize(log_w + log_g)
     except ZeroLikelihoodError as error:
+        lost = np.argwhere(np.isneginf(np.max(log_w + log_g, axis=-1)))[0].tolist()
         raise ZeroLikelihoodError(
-            f"step {k}: every particle has likelihood zero. The measurement lies where no particle is: use more "
-            "particles, a wider prior or process noise, a measurement noise with heavier tails, or check its units"
+            f"step {k}{f', run {lost}' if lost else ''}: every particle has likelihood zero. The measurement is where "
+            "no particle is: use more particles, a wider prior or process noise, a measurement noise with heavier "
+            "tails, or check its units"
         ) from error
     except ValueError as error:
         raise ValueError(f"step {k}: log_likelihood gave a value that is no weight ({error})") from error
@@ -219,7 +224,12 @@ def resample(x, log_w, due, pick, rng):
     own = np.broadcast_to(np.arange(n), log_w.shape)
     if not due.any():
         return x, log_w, own
-    ancestors = np.where(due[..., None], pick(np.exp(log_w), rng), own)
+    picked = np.asarray(pick(np.exp(log_w), rng))
+    if picked.shape != log_w.shape or picked.dtype.kind not in "iu":
+        raise ValueError(
+            f"resampling must give whole numbers of shape {log_w.shape}, it gave {picked.dtype} {picked.shape}"
+        )
+    ancestors = np.where(due[..., None], picked, own)
     x = np.take_along_axis(x, ancestors[..., None], axis=-2)
     return x, np.where(due[..., None], -np.log(n), log_w), ancestors
 

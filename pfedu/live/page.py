@@ -82,7 +82,7 @@ def _cache_by_source(app, config):
 
 
 def draw_frames(name, start, folder):
-    """Draw an explorer with each control moved alone, in each of its layouts.
+    """Draw what an explorer shows before Python is up, in each of its layouts.
 
     Parameters
     ----------
@@ -90,12 +90,12 @@ def draw_frames(name, start, folder):
     start : dict
         Where controls start, if not at their defaults.
     folder : pathlib.Path
-        Gets one picture a frame, ``LAYOUT-CONTROL-POSITION.png``.
+        Gets one picture a frame, ``LAYOUT-KEY.png``; :meth:`~pfedu.explorers.Explorer.key` names them.
 
     Returns
     -------
     dict
-        ``{layout: {"size": (width, height), "frames": {control: {position: (sentence, numbers)}}}}``
+        ``{layout: {"size": (width, height), "frames": {key: (sentence, numbers)}}}``
     """
     layouts = list(load(name).layouts)
     with ProcessPoolExecutor(min(len(layouts), os.cpu_count() or 1)) as pool:
@@ -104,17 +104,13 @@ def draw_frames(name, start, folder):
 
 def _draw_layout(name, start, folder, layout):
     explorer = load(name)
-    stage, frames = Stage(explorer, layout), {}
-    for control, value, params in explorer.moved_alone(explorer.check(start)):
+    stage, frames, start = Stage(explorer, layout), {}, explorer.check(start)
+    for params in explorer.beforehand(start):
         pixels, shown = stage.draw(params)
-        position = _position(explorer, control, value)
-        (folder / f"{layout}-{control}-{position}.png").write_bytes(small_png(pixels))
-        frames.setdefault(control, {})[position] = (shown.sentence, shown.numbers)
+        key = explorer.key(start, params)
+        (folder / f"{layout}-{key}.png").write_bytes(small_png(pixels))
+        frames[key] = (shown.sentence, shown.numbers)
     return {"size": pixels.shape[1::-1], "frames": frames}
-
-
-def _position(explorer, control, value):
-    return next(c for c in explorer.controls if c.name == control).values.index(value)
 
 
 def _frames(app, name, start):
@@ -149,20 +145,18 @@ def _figure(app, docname, name, start):
     explorer = load(name)
     params = explorer.check(start)
     key, drawn = _frames(app, name, start)
-    first = explorer.controls[0].name
-    position = {control: _position(explorer, control, value) for control, value in params.items()}
-    sentence, numbers = drawn["wide"]["frames"][first][str(position[first])]
+    sentence, numbers = drawn["wide"]["frames"]["start"]
     files = {
-        layout: {"file": f"{layout}-{first}-{position[first]}.png", "width": d["size"][0], "height": d["size"][1]}
+        layout: {"file": f"{layout}-start.png", "width": d["size"][0], "height": d["size"][1]}
         for layout, d in drawn.items()
     }
     data = {
         "name": name,
-        "start": position,
+        "start": {control.name: control.values.index(params[control.name]) for control in explorer.controls},
         "texts": {c.name: [c.text(value) for value in c.values] for c in explorer.controls},
         "frames": {
-            control: {i: [words, [float(f"{v:.6g}") for v in values.values()]] for i, (words, values) in frames.items()}
-            for control, frames in drawn["wide"]["frames"].items()
+            moved: [words, [float(f"{v:.6g}") for v in values.values()]]
+            for moved, (words, values) in drawn["wide"]["frames"].items()
         },
     }
     folder = "../" * docname.count("/") + f"_static/explorers/{key}/"

@@ -44,7 +44,8 @@
       this.worker?.terminate();
       for (const { refuse } of this.waiting.values()) refuse(new Error(why));
       this.waiting.clear();
-      this.tell('failed', `Python is not to be had here (${why}). The pictures drawn beforehand still answer, one control at a time.`);
+      this.why = why;
+      this.tell('failed', 'Python could not be loaded (no connection?). The pictures drawn beforehand still answer, one control at a time.');
     },
 
     tell(state, line) { this.state = state; this.line = line; this.listeners.forEach(listen => listen()); },
@@ -68,7 +69,7 @@
       this.data = JSON.parse(element.querySelector('script').textContent);
       this.folder = new URL('.', element.querySelector('.pfedu-poster').src).href;
       this.inputs = [...this.form.querySelectorAll('[data-control]')];
-      this.busy = this.changed = this.beyond = false;
+      this.busy = this.changed = false;
       this.cache = new Map();
       element.querySelectorAll('source').forEach(source => source.remove());
       for (const input of this.inputs) {
@@ -97,7 +98,11 @@
     }
 
     move(input) {
-      if (input.type === 'button') input.dataset.position = (this.position(input) + 1) % this.data.texts[input.dataset.control].length;
+      if (input.type === 'button') { // round again, before Python is up at the last seed that was drawn
+        const name = input.dataset.control, all = this.data.texts[name].length;
+        const count = python.state === 'ready' ? all : Math.max(...this.drawn(name)) + 1;
+        input.dataset.position = (this.position(input) + 1) % count;
+      }
       this.label(input);
       python.start();
       this.answer();
@@ -123,16 +128,24 @@
     say(error) {
       if (error) this.status.textContent = `Not redrawn: ${error}. The last picture stays.`;
       else this.status.textContent = [this.note, python.line].filter(Boolean).join(' ');
+      this.status.title = python.why || '';
       this.element.dataset.python = python.state;
     }
 
-    // -- pictures drawn beforehand: each control moved alone
-    fileOf(control, index) { return `${this.folder}${this.layout}-${control}-${index}.png`; }
+    // -- pictures drawn beforehand: each control moved alone, and a few combinations
+    fileOf(key) { return `${this.folder}${this.layout}-${key}.png`; }
 
-    fetchFrames(control) {
+    keyOf(inputs) { return inputs.map(i => `${i.dataset.control}-${this.position(i)}`).join('-') || 'start'; }
+
+    drawn(name) { // positions of one control, moved alone, of which there is a picture
+      const own = Object.keys(this.data.frames).filter(key => new RegExp(`^${name}-\\d+$`).test(key));
+      return [this.data.start[name], ...own.map(key => Number(key.split('-')[1]))];
+    }
+
+    fetchFrames(name) {
       if (python.state === 'ready') return;
-      for (const index of Object.keys(this.data.frames[control])) {
-        const file = this.fileOf(control, index);
+      for (const position of this.drawn(name)) {
+        const file = this.fileOf(position === this.data.start[name] ? 'start' : `${name}-${position}`);
         if (!this.cache.has(file)) this.cache.set(file, Object.assign(new Image(), { src: file }));
       }
     }
@@ -140,21 +153,24 @@
     showFrame() {
       const { start, frames, texts } = this.data;
       const moved = this.inputs.filter(input => this.position(input) !== start[input.dataset.control]);
+      let key = this.keyOf(moved);
       this.note = '';
-      if (moved.length > 1) {
+      if (!frames[key] && moved.length === 1) {
+        const name = moved[0].dataset.control, wanted = this.position(moved[0]);
+        const nearest = this.drawn(name).reduce((a, b) => (Math.abs(b - wanted) < Math.abs(a - wanted) ? b : a));
+        key = nearest === start[name] ? 'start' : `${name}-${nearest}`;
+        this.note = `Shown: ${texts[name][nearest]}, the nearest position drawn beforehand.`;
+      }
+      this.element.classList.toggle('pfedu-stale', !frames[key]);
+      if (!frames[key]) {
         this.note = python.state === 'failed'
-          ? 'This picture is not of the position chosen: several controls have been moved.'
+          ? 'Several controls have been moved, and there is no Python to draw that: go back to the start, or undo one of them.'
           : 'Several controls have been moved: the picture follows as soon as Python is up.';
         return this.say();
       }
-      const name = moved.length ? moved[0].dataset.control : this.inputs[0].dataset.control;
-      const wanted = moved.length ? this.position(moved[0]) : start[name];
-      const drawn = Object.keys(frames[name]).map(Number);
-      const nearest = drawn.reduce((a, b) => (Math.abs(b - wanted) < Math.abs(a - wanted) ? b : a));
-      if (nearest !== wanted) this.note = `Shown: ${texts[name][nearest]}, the nearest position drawn beforehand.`;
-      const [sentence, numbers] = frames[name][nearest];
+      const [sentence, numbers] = frames[key];
       this.show('frame', sentence, numbers);
-      this.image.src = this.fileOf(name, nearest);
+      this.image.src = this.fileOf(key);
       this.image.alt = sentence;
       this.image.hidden = false;
       this.canvas.hidden = true;
@@ -188,6 +204,7 @@
       this.canvas.setAttribute('aria-label', words.sentence);
       this.canvas.hidden = false;
       this.image.hidden = true;
+      this.element.classList.remove('pfedu-stale');
       this.show('live', words.sentence, Object.values(words.numbers));
       this.element.dataset.ms = ms.toFixed(1);
     }
