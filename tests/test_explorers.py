@@ -68,6 +68,29 @@ def test_every_control_changes_the_picture(stages, name):
         assert any((pixels != before).any() for pixels in seen), f"{name}: moving {control.name} changes nothing"
 
 
+def _state(artist):
+    """What an artist would draw."""
+    if hasattr(artist, "get_xydata"):
+        data = artist.get_xydata()
+    elif hasattr(artist, "get_paths"):
+        data = np.concatenate([path.vertices for path in artist.get_paths()])
+    else:
+        data = artist.get_text()
+    return repr(np.asarray(data).tolist()) + str(artist.get_visible())
+
+
+@pytest.mark.parametrize("name", EXPLORERS)
+def test_every_artist_that_should_move_moves(stages, name):
+    """A redraw that forgets one artist: its old data would stay beside the new ones."""
+    explorer, stage = load(name), stages[name]
+    stage.draw(explorer.defaults())
+    before, moved = {key: _state(artist) for key, artist in stage.artists.items()}, set()
+    for params in explorer.beforehand(explorer.defaults()):
+        stage.draw(params)
+        moved |= {key for key, artist in stage.artists.items() if _state(artist) != before[key]}
+    assert moved == set(before), f"never given new data: {set(before) - moved}"
+
+
 @pytest.mark.parametrize("layout", ["wide", "narrow"])
 @pytest.mark.parametrize("name", EXPLORERS)
 def test_redraw_equals_a_fresh_drawing(name, layout):
@@ -78,7 +101,10 @@ def test_redraw_equals_a_fresh_drawing(name, layout):
     for _ in range(6):
         params = {c.name: c.values[rng.integers(len(c.values))] for c in explorer.controls}
         pixels, shown = reused.draw(params)
-        fresh, said = Stage(explorer, layout, dpi=60).draw(params)
+        other = Stage(explorer, layout, dpi=60)
+        other.draw(params)
+        other._background = None  # everything drawn anew: axes, ticks, titles
+        fresh, said = other.draw(params)
         assert shown == said
         np.testing.assert_array_equal(pixels, fresh)
 
