@@ -59,13 +59,13 @@ def plot_chain(ax, n=4):
     6
     """
     names = [f"k-{n - 1 - i}" if i < n - 1 else "k" for i in range(n)]
-    ends = [((2 * i + 0.45, 1.6), (2 * i + 1.55, 1.6)) for i in range(-1, n - 1)]  # along the chain
-    ends += [((2 * i, 1.15), (2 * i, 0.42)) for i in range(n)]  # down to the measurements
+    ends = [((2 * i + 0.5, 1.6), (2 * i + 1.5, 1.6)) for i in range(-1, n - 1)]  # along the chain
+    ends += [((2 * i, 1.1), (2 * i, 0.42)) for i in range(n)]  # down to the measurements
     for i, name in enumerate(names):
-        ax.add_patch(Circle((2 * i, 1.6), 0.42, fc="white", ec=COLORS["particles"], lw=2))
+        ax.add_patch(Circle((2 * i, 1.6), 0.47, fc="white", ec=COLORS["particles"], lw=2))
         ax.add_patch(Rectangle((2 * i - 0.42, -0.42), 0.84, 0.8, fc="#eeeeee", ec=COLORS["measurement"], lw=2))
-        ax.text(2 * i, 1.6, f"$x_{{{name}}}$", ha="center", va="center", fontsize=15)
-        ax.text(2 * i, -0.02, f"$y_{{{name}}}$", ha="center", va="center", fontsize=15)
+        ax.text(2 * i, 1.6, f"$x_{{{name}}}$", ha="center", va="center", fontsize=13)
+        ax.text(2 * i, -0.02, f"$y_{{{name}}}$", ha="center", va="center", fontsize=13)
     ax.set(xlim=(-2, 2 * n - 1), ylim=(-0.6, 2.6), aspect="equal")
     ax.axis("off")
     look = dict(arrowstyle="-|>", lw=1.6, color=COLORS["truth"], shrinkA=0, shrinkB=0)
