@@ -13,7 +13,7 @@ help: ## list what can be made
 
 book: env ## build the book: environment, notebooks executed, warnings as errors
 	$(BUILD) .
-	@echo "The book is built: open _build/html/index.html. For live figures serve it: make read"
+	@echo "The book is built. Read it with Python in its pages: make read (or open _build/html/index.html: pictures only)"
 
 read: book ## build the book, serve it on 127.0.0.1 and open the browser
 	$(BIN)/python -m pfedu.live.serve _build/html
@@ -49,11 +49,13 @@ requirements: env ## pin the newest versions of everything in requirements.in
 	$(BIN)/uv pip compile --universal --upgrade --python-version 3.11 --no-header --no-annotate --quiet \
 		requirements.in --output-file requirements.txt
 
-clean: ## remove all that was made
+clean: ## remove the environment and the built book
 	rm -rf _build $(VENV) *.egg-info
 
 $(VENV)/made: requirements.txt pyproject.toml
-	$(PYTHON) -m venv $(VENV)
+	@$(PYTHON) -c "import sys; sys.exit(None if sys.version_info >= (3, 11) else 'Python 3.11 or newer is needed: make ... PYTHON=python3.12')"
+	@echo "Making the environment in $(VENV): a minute or two, about 1 GB"
+	$(PYTHON) -m venv --clear $(VENV)
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check -r requirements.txt -e .
 	@touch $@
 

@@ -104,3 +104,12 @@ def test_nothing_of_this_machine_is_in_the_tree():
         ):
             text = path.read_text(encoding="utf-8", errors="ignore")
             assert str(ROOT) + "/" not in text and (home == "/" or home + "/" not in text), name
+
+
+def test_the_example_of_the_readme_runs_and_says_the_truth(capsys):
+    """A first example that does not run is the last one a reader tries."""
+    code = re.search(r"```python\n(.*?)```", (ROOT / "README.md").read_text(encoding="utf-8"), re.S)[1]
+    exec(compile(code, "README.md", "exec"), {})
+    shape, numbers = capsys.readouterr().out.split(")")
+    particles, exact = map(float, numbers.split())
+    assert shape == "(51, 1" and 0 < abs(particles - exact) < 0.1

@@ -57,15 +57,19 @@ def serving(folder, port=0):
 
 def main():
     """Serve until interrupted, with the browser opened on the book."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("folder", nargs="?", default="_build/html")
-    parser.add_argument("--port", type=int, default=0)
+    parser = argparse.ArgumentParser(prog="python -m pfedu.live.serve", description=__doc__)
+    parser.add_argument("folder", nargs="?", default="_build/html", help="the built book (default: %(default)s)")
+    parser.add_argument("--port", type=int, default=0, help="where to serve it (default: any port that is free)")
     given = parser.parse_args()
-    with serving(given.folder, given.port) as address:
-        print(f"The book is at {address} (Ctrl+C stops it)", flush=True)
-        webbrowser.open(address)
-        with contextlib.suppress(KeyboardInterrupt):
+    if not (Path(given.folder) / "index.html").exists():
+        parser.error(f"there is no book in {given.folder}: build it first")
+    try:
+        with serving(given.folder, given.port) as address, contextlib.suppress(KeyboardInterrupt):
+            print(f"The book is at {address} (Ctrl+C stops it)", flush=True)
+            webbrowser.open(address)
             threading.Event().wait()
+    except OSError as error:
+        parser.error(f"{error}; without --port a free one is taken")
 
 
 if __name__ == "__main__":
