@@ -243,6 +243,11 @@ def test_a_phone_gets_the_narrow_picture(chromium, book, explorers):
             poster = figure(page, name).locator(".pfedu-poster")
             assert "/narrow-" in poster.evaluate("i => i.currentSrc")
             assert poster.evaluate("i => i.clientWidth") > 300
+            last = figure(page, name).locator(".pfedu-control").nth(4)
+            last.evaluate("control => control.scrollIntoView({block: 'end'})")
+            page.wait_for_timeout(300)
+            top = figure(page, name).locator(".pfedu-picture").evaluate("p => p.getBoundingClientRect().top")
+            assert 0 < top < 100, "the picture is out of sight while its controls are moved"
 
 
 def test_opened_as_a_file_it_says_why_python_does_not_start(chromium, book_folder, explorers):
