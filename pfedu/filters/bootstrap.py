@@ -25,7 +25,8 @@ def bootstrap_filter(
     n_particles : int
         N.
     rng : numpy.random.Generator
-        The same generator state gives the same bits.
+        A generator freshly made from the same seed gives the same bits. (Two are spawned off it at
+        each call, so that restoring the state of its bit generator alone does not.)
     resampling : str or callable
         ``"multinomial"``, ``"residual"``, ``"stratified"``, ``"systematic"``, or a function
         ``(weights, rng, size=None) -> ancestors``.
