@@ -75,7 +75,7 @@ def source_digest(*leave_out):
 
 def _cache_by_source(app, config):
     """Executed notebooks are kept until a cell or the package changes."""
-    config.nb_execution_cache_path = str(Path(app.srcdir) / "_build" / ".notebooks" / source_digest("live"))
+    config.nb_execution_cache_path = str(Path(app.srcdir) / "_build" / ".notebooks" / source_digest())
 
 
 # -- pictures -----------------------------------------------------------------------------------------------------
