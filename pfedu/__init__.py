@@ -5,11 +5,20 @@ Importing it needs numpy alone. Figures, explorers and their hosts are imported 
 """
 
 from pfedu import gaussian, models, resampling, weights
-from pfedu.filters import bootstrap_filter
+from pfedu.filters import (
+    auxiliary_filter,
+    bootstrap_filter,
+    kalman_bank_filter,
+    local_linear_filter,
+    optimal_filter,
+    rao_blackwellized_filter,
+    regularized_filter,
+)
 from pfedu.grid import GridError, grid_filter
-from pfedu.kalman import kalman_filter
+from pfedu.kalman import extended_kalman_filter, kalman_filter
 from pfedu.models import MissingPieceError
 from pfedu.track import Track
+from pfedu.unscented import unscented_kalman_filter
 from pfedu.weights import ZeroLikelihoodError
 
 __version__ = "0.1.0"
@@ -19,11 +28,19 @@ __all__ = [
     "MissingPieceError",
     "Track",
     "ZeroLikelihoodError",
+    "auxiliary_filter",
     "bootstrap_filter",
+    "extended_kalman_filter",
     "gaussian",
     "grid_filter",
+    "kalman_bank_filter",
     "kalman_filter",
+    "local_linear_filter",
     "models",
+    "optimal_filter",
+    "rao_blackwellized_filter",
+    "regularized_filter",
     "resampling",
+    "unscented_kalman_filter",
     "weights",
 ]

@@ -1,4 +1,4 @@
-"""The Kalman filter: the Bayesian recursion where everything is linear and Gaussian."""
+"""The Kalman filter, exact where everything is linear and Gaussian, and the extended one, by tangents."""
 
 import numpy as np
 
@@ -32,7 +32,7 @@ def kalman_filter(model, y):
     Raises
     ------
     MissingPieceError
-        If the model is not linear (has no F).
+        If the model is not linear (has no F and H).
     ValueError
         If the record does not fit the model, or the covariance of an innovation is singular.
 
@@ -43,17 +43,113 @@ def kalman_filter(model, y):
     >>> track.mean.tolist(), track.cov.tolist()
     ([[1.0]], [[[0.5]]])
     """
-    require(model, "F", "the Kalman filter")
+    for piece in ("F", "H"):
+        require(model, piece, "the Kalman filter")
+    return gaussian_filter(
+        model, y,
+        lambda k, m, P: predict(m, P, model.F, model.Q),
+        lambda k, m, P, y: correct(m, P, y, model.H, model.R),
+    )  # fmt: skip
+
+
+def extended_kalman_filter(model, y):
+    r"""Kalman filter of the model as it looks from the estimate: tangents for curves.
+
+    .. math::
+        m^- &= f(k, m), & P^- &= F P F^\top + G Q G^\top, & F &= \partial f / \partial x \text{ at } m \\
+        e &= y - h(k, m^-), & S &= H P^- H^\top + R, & H &= \partial h / \partial x \text{ at } m^-
+
+    and the correction of the Kalman filter; G is the derivative of the step by its noise, the identity where noise
+    is added. Source: Simon, *Optimal State Estimation* (2006), section 13.2.
+
+    Parameters
+    ----------
+    model : AdditiveGaussian
+        Derivatives that it does not state are taken by differences.
+    y : array_like, shape (..., T+1, n_y)
+        Measurements, row k is time k; leading axes are independent records. A row of NaN is missing.
+
+    Returns
+    -------
+    Track
+        An approximation: nothing in it says how good.
+
+    Raises
+    ------
+    MissingPieceError
+        If the model has no functions f and h with Gaussian noise.
+    ValueError
+        If the record does not fit the model, or the covariance of an innovation is singular.
+
+    Examples
+    --------
+    >>> import pfedu
+    >>> model, y = pfedu.models.random_walk(), [[1.0], [2.0]]
+    >>> bool((pfedu.extended_kalman_filter(model, y).mean == pfedu.kalman_filter(model, y).mean).all())
+    True
+    """
+    require_gaussian(model, "the extended Kalman filter")
+    return gaussian_filter(model, y, *linearised(model))
+
+
+def require_gaussian(model, purpose):
+    """Raise a clear error unless the model has functions f and h with Gaussian noise.
+
+    Parameters
+    ----------
+    model : StateSpaceModel
+    purpose : str
+        What asks for it, for the message.
+
+    Raises
+    ------
+    MissingPieceError
+        Naming the piece.
+
+    Examples
+    --------
+    >>> import pfedu
+    >>> pfedu.kalman.require_gaussian(pfedu.models.growth(), "the extended Kalman filter")
+    """
+    for piece in ("f", "Q", "h", "R", "jacobian_f", "jacobian_h"):
+        require(model, piece, purpose)
+
+
+def gaussian_filter(model, y, predict, correct):
+    """Run over a record with two updates of a Gaussian, whichever they are.
+
+    Parameters
+    ----------
+    model : AdditiveGaussian
+        Where m0, P0 and n_y are taken from.
+    y : array_like, shape (..., T+1, n_y)
+        A row of NaN is missing.
+    predict : callable
+        ``(k, m, P) -> (m, P)`` for m (..., n_x) and P (..., n_x, n_x).
+    correct : callable
+        ``(k, m, P, y) -> (m, P, log_likelihood)`` for y (..., n_y).
+
+    Returns
+    -------
+    Track
+
+    Examples
+    --------
+    >>> import pfedu
+    >>> model = pfedu.models.random_walk()
+    >>> pfedu.kalman.gaussian_filter(model, [1.0, 2.0], *pfedu.kalman.linearised(model)).mean.shape
+    (2, 1)
+    """
     y, missing = read_record(y, model.n_y)
     m = np.broadcast_to(model.m0, (*y.shape[:-2], model.n_x))
     P = np.broadcast_to(model.P0, (*m.shape, model.n_x))
     means, covs, increments = [], [], []
     for k in range(y.shape[-2]):
         if k > 0:
-            m, P = predict(m, P, model.F, model.Q)
+            m, P = predict(k, m, P)
         skip, increment = missing[..., k], np.zeros(missing.shape[:-1])
         if not skip.all():
-            m_new, P_new, log_likelihood = correct(m, P, y[..., k, :], model.H, model.R)  # NaN where skipped
+            m_new, P_new, log_likelihood = correct(k, m, P, y[..., k, :])  # NaN where skipped
             m = np.where(skip[..., None], m, m_new)
             P = np.where(skip[..., None, None], P, P_new)
             increment = np.where(skip, 0.0, log_likelihood)
@@ -61,6 +157,43 @@ def kalman_filter(model, y):
         covs.append(P)
         increments.append(increment)
     return Track(np.stack(means, -2), np.stack(covs, -3), np.stack(increments, -1))
+
+
+def linearised(model):
+    """The two updates of the extended Kalman filter, for one Gaussian or many.
+
+    Parameters
+    ----------
+    model : AdditiveGaussian
+
+    Returns
+    -------
+    predict : callable
+        ``(k, m, P) -> (m, P)`` for m (..., n_x) and P (..., n_x, n_x).
+    correct : callable
+        ``(k, m, P, y) -> (m, P, log_likelihood)`` for y (..., n_y).
+
+    Examples
+    --------
+    >>> import pfedu
+    >>> predict, correct = pfedu.kalman.linearised(pfedu.models.random_walk(q=1.0))
+    >>> m, P = predict(1, np.zeros((5, 1)), np.ones((5, 1, 1)))  # five at once
+    >>> P.ravel().tolist()
+    [2.0, 2.0, 2.0, 2.0, 2.0]
+    """
+
+    def predict(k, m, P):
+        F = model.jacobian_f(k, m)
+        noise = model.Q
+        if not model.noise_is_additive:
+            G = model.jacobian_w(k, m)
+            noise = G @ model.Q @ _T(G)
+        return model.f(k, m), F @ P @ _T(F) + noise
+
+    def correct(k, m, P, y):
+        return update(m, P, y - model.h(k, m), model.jacobian_h(k, m), model.R)
+
+    return predict, correct
 
 
 def predict(m, P, F, Q):
@@ -117,15 +250,54 @@ def correct(m, P, y, H, R):
     >>> m.tolist(), P.tolist(), round(float(log_likelihood), 4)
     ([0.5], [[0.5]], -1.5155)
     """
-    S = H @ P @ H.T + R
+    return update(m, P, y - m @ H.T, H, R)
+
+
+def update(m, P, innovation, H, R):
+    r"""Correct a Gaussian by an innovation, however that was predicted.
+
+    .. math:: S = H P H^\top + R, \quad K = P H^\top S^{-1}, \quad m \leftarrow m + K e, \quad
+        P \leftarrow (I - K H) P (I - K H)^\top + K R K^\top
+
+    Parameters
+    ----------
+    m : ndarray, shape (..., n_x)
+    P : ndarray, shape (..., n_x, n_x)
+    innovation : ndarray, shape (..., n_y)
+        e, measurement minus its prediction.
+    H : ndarray, shape (..., n_y, n_x)
+    R : ndarray, shape (..., n_y, n_y)
+
+    Returns
+    -------
+    m, P : ndarray
+        Mean and covariance a posteriori.
+    log_likelihood : ndarray, shape (...)
+        Log density of e under N(0, S).
+
+    Raises
+    ------
+    ValueError
+        If S is singular.
+
+    Examples
+    --------
+    >>> from pfedu.kalman import update
+    >>> m, P, log_likelihood = update(np.zeros(1), np.eye(1), np.ones(1), np.eye(1), np.eye(1))
+    >>> m.tolist(), P.tolist()
+    ([0.5], [[0.5]])
+    """
+    S = H @ P @ _T(H) + R
     try:
-        K = np.swapaxes(np.linalg.solve(S, H @ P), -1, -2)  # P and S are symmetric
+        K = _T(np.linalg.solve(S, H @ P))  # P and S are symmetric
     except np.linalg.LinAlgError as error:
         raise ValueError(
             "S = H P H' + R is singular: a measurement without noise of something known for certain"
         ) from error
     A = np.eye(m.shape[-1]) - K @ H
-    innovation = y - m @ H.T
-    m_new = m + (K @ innovation[..., None])[..., 0]
-    P_new = A @ P @ np.swapaxes(A, -1, -2) + K @ R @ np.swapaxes(K, -1, -2)
-    return m_new, P_new, log_density(innovation, 0.0, S)
+    P_new = A @ P @ _T(A) + K @ R @ _T(K)
+    return m + (K @ innovation[..., None])[..., 0], P_new, log_density(innovation, 0.0, S)
+
+
+def _T(A):
+    return np.swapaxes(A, -1, -2)

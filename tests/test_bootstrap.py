@@ -121,9 +121,9 @@ def test_the_error_falls_as_one_over_root_n(name):
 loop_resample = loop.resample
 
 
-def forgetful(x, log_w, due, pick, rng):
+def forgetful(x, log_w, due, pick, rng, ahead=None):
     """The fault of half the field's teaching code: weights are 1/N after a step, resampled or not."""
-    x, log_w, ancestors = loop_resample(x, log_w, due, pick, rng)
+    x, log_w, ancestors = loop_resample(x, log_w, due, pick, rng, ahead)
     return x, np.full_like(log_w, -np.log(log_w.shape[-1])), ancestors
 
 

@@ -4,6 +4,9 @@ A filter is a proposal and a weight. Everything else (carrying weights on, the l
 estimates, N_eff, resampling, missing measurements, many runs at once) is here, written once.
 """
 
+from collections.abc import Callable
+from dataclasses import dataclass
+
 import numpy as np
 
 from pfedu.models import read_only, require, streams
@@ -12,15 +15,89 @@ from pfedu.track import Track, read_record
 from pfedu.weights import ZeroLikelihoodError, effective_sample_size, normalize, weighted_cov, weighted_mean
 
 
-def particle_filter(propose, model, y, n_particles, *, rng, resampling, policy, keep=False, n_runs=None):
+def moments(x, log_w):
+    """Mean and covariance of weighted particles.
+
+    Parameters
+    ----------
+    x : ndarray, shape (..., N, n_x)
+    log_w : ndarray, shape (..., N)
+        Normalised log weights.
+
+    Returns
+    -------
+    mean : ndarray, shape (..., n_x)
+    cov : ndarray, shape (..., n_x, n_x)
+
+    Examples
+    --------
+    >>> from pfedu.filters.loop import moments
+    >>> mean, cov = moments(np.array([[0.0], [2.0]]), np.log([0.5, 0.5]))
+    >>> mean.tolist(), cov.tolist()
+    ([1.0], [[1.0]])
+    """
+    return weighted_mean(x, log_w), weighted_cov(x, log_w)
+
+
+@dataclass(frozen=True)
+class Algorithm:
+    """What one particle filter brings to the loop: a proposal with its weight, and what differs besides.
+
+    A particle is a state, or a tuple of arrays that begins with one: whatever else it carries (a covariance, say)
+    is then moved, copied and resampled with it. An array of the tuple whose axis of particles has length 1 is
+    shared by all of them.
+
+    Attributes
+    ----------
+    propose : callable
+        ``(k, y, x, rng) -> (x, log_g)``: particles (..., N, n_x) of time k drawn from those of time k-1, and what
+        their weights (..., N) are multiplied by.
+    start : callable, optional
+        ``(runs, n, rng) -> x``: n particles of the prior for each run; the model's ``sample_initial`` by default.
+    first : callable, optional
+        ``(y, x) -> (x, log_g)``: the correction at time 0; the model's likelihood by default.
+    predict : callable, optional
+        ``(k, x, rng) -> x``: a step without a measurement; the model's ``propagate`` by default.
+    look_ahead : callable, optional
+        ``(k, y, x, rng) -> (..., N)``: log of what the measurement of time k says of particles of time k-1. Weights
+        are multiplied by it for the time of resampling, and divided by it afterwards.
+    perturb : callable, optional
+        ``(x, before, log_w, rng) -> x``: what happens to particles that were just resampled from ``before``, which
+        had the normalised log weights ``log_w``.
+    state : callable, optional
+        ``(x) -> (..., N, n_x)``: the states among what particles carry; the first array of a tuple by default.
+    moments : callable
+        ``(x, log_w) -> mean (..., n_x), cov (..., n_x, n_x)``; of the states by default.
+
+    Examples
+    --------
+    >>> from pfedu.filters.loop import Algorithm
+    >>> Algorithm(propose=lambda k, y, x, rng: (x, np.zeros(x.shape[:-1]))).look_ahead is None
+    True
+    """
+
+    propose: Callable
+    start: Callable | None = None
+    first: Callable | None = None
+    predict: Callable | None = None
+    look_ahead: Callable | None = None
+    perturb: Callable | None = None
+    state: Callable = lambda x: x[0] if isinstance(x, tuple) else x
+    moments: Callable | None = None
+
+    def estimate(self, x, log_w):
+        """Mean and covariance of what the particles say."""
+        return self.moments(x, log_w) if self.moments else moments(self.state(x), log_w)
+
+
+def particle_filter(algorithm, model, y, n_particles, *, rng, resampling, policy, keep=False, n_runs=None):
     """Run a particle filter over a record.
 
     Parameters
     ----------
-    propose : callable
-        ``(k, y, x, rng) -> (x, log_g)``: particles (..., N, n_x) of time k drawn from those of time
-        k-1, and what their weights (..., N) are multiplied by. Runs without a measurement are
-        propagated by the model instead (where others have one, ``y`` is NaN in theirs).
+    algorithm : Algorithm or callable
+        What the filter brings; its ``propose`` alone will do. Runs without a measurement are propagated by the
+        model instead (where others have one, ``y`` is NaN in theirs).
     model : StateSpaceModel
     y : array_like, shape (..., T+1, n_y)
         Measurements; a row of NaN is missing: predicted over, not corrected, not resampled.
@@ -32,7 +109,8 @@ def particle_filter(propose, model, y, n_particles, *, rng, resampling, policy, 
     resampling : str or callable
         A scheme of :mod:`pfedu.resampling`.
     policy : callable
-        When to resample: :class:`~pfedu.resampling.ratio` or :class:`~pfedu.resampling.interval`.
+        When to resample: :class:`~pfedu.resampling.ratio` or :class:`~pfedu.resampling.interval`. A filter that
+        looks ahead asks it with the weights that look ahead.
     keep : bool
         Keep particles, log weights and ancestors of each step.
     n_runs : int, optional
@@ -65,49 +143,54 @@ def particle_filter(propose, model, y, n_particles, *, rng, resampling, policy, 
     >>> track.mean.shape
     (2, 1)
     """
-    y, missing, n_particles = _check(model, y, n_particles, n_runs, policy)
+    algorithm = algorithm if isinstance(algorithm, Algorithm) else Algorithm(algorithm)
+    y, missing, n_particles = _check(algorithm, model, y, n_particles, n_runs, policy)
     pick, runs = scheme(resampling), y.shape[:-2]
     rng_move, rng_pick = streams(rng, 2)
-    x = _start(model, runs, n_particles, rng_move)
-    log_w = np.full(x.shape[:-1], -np.log(n_particles))
+    x = (algorithm.start or _from_prior(model))(runs, n_particles, rng_move)
+    log_w = np.full((*runs, n_particles), -np.log(n_particles))
     ancestors = np.broadcast_to(np.arange(n_particles), log_w.shape)
     count = np.zeros(runs, dtype=int)  # corrections so far
     steps = []
     for k in range(y.shape[-2]):
         # Propose and weigh
-        x, log_g = advance(propose, model, k, y[..., k, :], missing[..., k], x, rng_move)
+        x, log_g = advance(algorithm, model, k, y[..., k, :], missing[..., k], x, log_w.shape, rng_move)
         log_w, increment = reweight(log_w, log_g, k)
         increment = np.where(missing[..., k], 0.0, increment)
         # Estimate, before resampling adds its noise
         n_eff = effective_sample_size(log_w)
-        step = (weighted_mean(x, log_w), weighted_cov(x, log_w), increment, n_eff)
-        kept = (x, log_w, ancestors) if keep else (None, None, None)
-        # Resample
-        count = count + ~missing[..., k]
-        due = policy(n_eff, n_particles, count) & ~missing[..., k]
-        x, log_w, ancestors = resample(x, log_w, due, pick, rng_pick)
+        step = (*algorithm.estimate(x, log_w), increment, n_eff)
+        kept = (algorithm.state(x), log_w, ancestors) if keep else (None, None, None)
+        # Resample, by the weights and by what the next measurement says if the filter looks ahead
+        count, news, ahead = count + ~missing[..., k], ~missing[..., k], None
+        if algorithm.look_ahead and k + 1 < y.shape[-2]:
+            ahead = foresee(algorithm, k + 1, y[..., k + 1, :], missing[..., k + 1], x, rng_pick)
+            news, n_eff = news | ~missing[..., k + 1], effective_sample_size(log_w + ahead)
+        due = policy(n_eff, n_particles, count) & news
+        x, log_w, ancestors = _resampled(algorithm, x, log_w, due, pick, rng_pick, ahead)
         steps.append((*step, due, *kept))
     return _track(steps, len(runs))
 
 
-def advance(propose, model, k, y, missing, x, rng):
+def advance(algorithm, model, k, y, missing, x, shape, rng):
     """Particles of time k and the factors of their weights.
 
     Parameters
     ----------
-    propose : callable
-        ``(k, y, x, rng) -> (x, log_g)``.
+    algorithm : Algorithm
     model : StateSpaceModel
     k : int
         Time; at 0 the particles stay where the prior put them.
     y : ndarray, shape (..., n_y)
     missing : ndarray of bool, shape (...)
-    x : ndarray, shape (..., N, n_x)
+    x : ndarray, shape (..., N, n_x), or tuple of such arrays
+    shape : tuple of int
+        (..., N).
     rng : numpy.random.Generator
 
     Returns
     -------
-    x : ndarray, shape (..., N, n_x)
+    x : as given
     log_g : ndarray, shape (..., N)
         Zero for a run whose measurement is missing.
 
@@ -119,28 +202,65 @@ def advance(propose, model, k, y, missing, x, rng):
     Examples
     --------
     >>> import pfedu
-    >>> from pfedu.filters.loop import advance
+    >>> from pfedu.filters.loop import Algorithm, advance
     >>> model, y, missing = pfedu.models.random_walk(), np.array([1.0]), np.array(False)
-    >>> x, log_g = advance(None, model, 0, y, missing, np.zeros((4, 1)), np.random.default_rng(1))
+    >>> rng = np.random.default_rng(1)
+    >>> x, log_g = advance(Algorithm(None), model, 0, y, missing, np.zeros((4, 1)), (4,), rng)
     >>> x.shape, log_g.round(4).tolist()
     ((4, 1), [-1.4189, -1.4189, -1.4189, -1.4189])
     """
-    x = read_only(x)
+    x, y = _each(read_only, x), y[..., None, :]
+    predict = algorithm.predict or model.propagate
+    first = algorithm.first or (lambda y, x: (x, model.log_likelihood(0, y, x)))
     if missing.all():
-        new = model.propagate(k, x, rng) if k > 0 else x
-        log_g = np.zeros(x.shape[:-1])
+        new, log_g = predict(k, x, rng) if k > 0 else x, np.zeros(shape)
     elif k == 0:
-        new, log_g = x, model.log_likelihood(k, y[..., None, :], x)
+        new, log_g = first(y, x)
+        new = _where(missing, x, new)
     else:
-        new, log_g = propose(k, y[..., None, :], x, rng)
+        new, log_g = algorithm.propose(k, y, x, rng)
         if missing.any():  # a run without a measurement has nothing to propose by
-            new = np.where(missing[..., None, None], model.propagate(k, x, rng), new)
-    if np.shape(new) != x.shape:
+            new = _where(missing, predict(k, x, rng), new)
+    if not isinstance(x, tuple) and np.shape(new) != x.shape:
         raise ValueError(f"step {k}: propagate must keep the shape {x.shape} of the particles, it gave {np.shape(new)}")
-    if np.shape(log_g) != x.shape[:-1]:
-        raise ValueError(f"step {k}: log_likelihood must give one value a particle, shape {x.shape[:-1]}, "
+    if np.shape(log_g) != shape:
+        raise ValueError(f"step {k}: log_likelihood must give one value a particle, shape {shape}, "
                          f"it gave {np.shape(log_g)}")  # fmt: skip
     return new, np.where(missing[..., None], 0.0, log_g)
+
+
+def foresee(algorithm, k, y, missing, x, rng):
+    """What the measurement of time k says of the particles of time k-1, as log factors.
+
+    Parameters
+    ----------
+    algorithm : Algorithm
+        With ``look_ahead``.
+    k : int
+    y : ndarray, shape (..., n_y)
+    missing : ndarray of bool, shape (...)
+    x : ndarray, shape (..., N, n_x), or tuple of such arrays
+    rng : numpy.random.Generator
+
+    Returns
+    -------
+    ndarray, shape (..., N)
+        Zero for a run whose measurement is missing.
+
+    Examples
+    --------
+    >>> from pfedu.filters.loop import Algorithm, foresee
+    >>> near = Algorithm(None, look_ahead=lambda k, y, x, rng: -np.abs(y - x)[..., 0])
+    >>> foresee(near, 1, np.array([1.0]), np.array(False), np.array([[0.0], [1.0]]), None).tolist()
+    [-1.0, -0.0]
+    """
+    if missing.all():
+        return np.zeros(algorithm.state(x).shape[:-1])
+    ahead = algorithm.look_ahead(k, y[..., None, :], _each(read_only, x), rng)
+    if np.shape(ahead) != algorithm.state(x).shape[:-1]:
+        raise ValueError(f"step {k}: looking ahead must give one value a particle, shape "
+                         f"{algorithm.state(x).shape[:-1]}, it gave {np.shape(ahead)}")  # fmt: skip
+    return np.where(missing[..., None], 0.0, ahead)
 
 
 def reweight(log_w, log_g, k):
@@ -191,25 +311,41 @@ def reweight(log_w, log_g, k):
         raise ValueError(f"step {k}: log_likelihood gave a value that is no weight ({error})") from error
 
 
-def resample(x, log_w, due, pick, rng):
-    """Resample the runs that are due; the others keep particles and weights.
+def resample(x, log_w, due, pick, rng, ahead=None):
+    r"""Resample the runs that are due; the others keep particles and weights.
+
+    .. math:: P(a = i) = \frac{w^{(i)} \eta^{(i)}}{\sum_j w^{(j)} \eta^{(j)}}, \qquad
+        w' = \frac{1}{N} \frac{\sum_j w^{(j)} \eta^{(j)}}{\eta^{(a)}}
+
+    Without a look ahead, :math:`\eta = 1`, that is the plain rule. With one, weights no longer sum to one, but their
+    expectation does: what resampling preferred is taken back from the weight, and the log-likelihood increments of
+    the next step, log of a sum of these weights times likelihoods, stay unbiased on the natural scale.
 
     Parameters
     ----------
-    x : ndarray, shape (..., N, n_x)
+    x : ndarray, shape (..., N, n_x), or tuple of such arrays
     log_w : ndarray, shape (..., N)
         Normalised log weights.
     due : ndarray of bool, shape (...)
     pick : callable
         A scheme of :mod:`pfedu.resampling`.
     rng : numpy.random.Generator
+    ahead : ndarray, shape (..., N), optional
+        Logarithms of :math:`\eta`.
 
     Returns
     -------
-    x : ndarray, shape (..., N, n_x)
+    x : as given
     log_w : ndarray, shape (..., N)
-        1/N each in a run that was resampled.
+        1/N each in a run that was resampled without a look ahead.
     ancestors : ndarray of int, shape (..., N)
+
+    Raises
+    ------
+    ValueError
+        If the scheme does not give ancestors.
+    ZeroLikelihoodError
+        If looking ahead leaves no particle.
 
     Examples
     --------
@@ -224,22 +360,55 @@ def resample(x, log_w, due, pick, rng):
     own = np.broadcast_to(np.arange(n), log_w.shape)
     if not due.any():
         return x, log_w, own
-    picked = np.asarray(pick(np.exp(log_w), rng))
+    log_pick, total = (log_w, 0.0) if ahead is None else normalize(log_w + ahead)
+    picked = np.asarray(pick(np.exp(log_pick), rng))
     if picked.shape != log_w.shape or picked.dtype.kind not in "iu":
         raise ValueError(
             f"resampling must give whole numbers of shape {log_w.shape}, it gave {picked.dtype} {picked.shape}"
         )
     ancestors = np.where(due[..., None], picked, own)
-    x = np.take_along_axis(x, ancestors[..., None], axis=-2)
-    return x, np.where(due[..., None], -np.log(n), log_w), ancestors
+    new = np.full(log_w.shape, -np.log(n))
+    if ahead is not None:
+        new += total[..., None] - np.take_along_axis(ahead, picked, axis=-1)
+    return _each(lambda part: _select(part, ancestors), x), np.where(due[..., None], new, log_w), ancestors
 
 
-def _check(model, y, n_particles, n_runs, policy):
+def _resampled(algorithm, x, log_w, due, pick, rng, ahead):
+    """Resample, then let the filter perturb the copies where there are any."""
+    new, new_log_w, ancestors = resample(x, log_w, due, pick, rng, ahead)
+    if algorithm.perturb and due.any():
+        new = _where(due, algorithm.perturb(new, x, log_w, rng), new)
+    return new, new_log_w, ancestors
+
+
+def _select(part, ancestors):
+    """Copy what each ancestor carries; what all particles share stays shared."""
+    axis = ancestors.ndim - 1
+    if part.shape[axis] == 1 and ancestors.shape[-1] > 1:
+        return part
+    index = ancestors.reshape(*ancestors.shape, *(1,) * (part.ndim - ancestors.ndim))
+    return np.take_along_axis(part, index, axis=axis)
+
+
+def _each(function, x):
+    """Apply a function to the array, or to each array of a tuple."""
+    return tuple(function(part) for part in x) if isinstance(x, tuple) else function(x)
+
+
+def _where(runs, x, otherwise):
+    """Choose x in some runs and the other in the rest, for an array or each array of a tuple."""
+    if isinstance(x, tuple):
+        return tuple(_where(runs, a, b) for a, b in zip(x, otherwise, strict=True))
+    return np.where(runs.reshape(*runs.shape, *(1,) * (np.ndim(x) - runs.ndim)), x, otherwise)
+
+
+def _check(algorithm, model, y, n_particles, n_runs, policy):
     if not callable(policy):
         raise TypeError(
             f"policy must be ratio(share), interval(n), always or never of pfedu.resampling, got {policy!r}"
         )
-    for piece in ("sample_initial", "propagate", "log_likelihood"):
+    needs = {"sample_initial": algorithm.start, "propagate": algorithm.predict, "log_likelihood": algorithm.first}
+    for piece in (name for name, instead in needs.items() if instead is None):
         require(model, piece, "a particle filter")
     for name, value in {"n_particles": n_particles, "n_runs": 1 if n_runs is None else n_runs}.items():
         if not (value >= 1 and value == int(value)):
@@ -250,13 +419,16 @@ def _check(model, y, n_particles, n_runs, policy):
     return y, missing, int(n_particles)
 
 
-def _start(model, runs, n, rng):
-    """Particles from p(x_0): (*runs, N, n_x)."""
-    total = int(np.prod(runs)) * n
-    x = np.asarray(model.sample_initial(total, rng), dtype=float)
-    if x.shape != (total, model.n_x):
-        raise ValueError(f"sample_initial({total}, rng) must give shape ({total}, {model.n_x}), it gave {x.shape}")
-    return x.reshape(*runs, n, model.n_x)
+def _from_prior(model):
+    def start(runs, n, rng):
+        """Particles from p(x_0): (*runs, N, n_x)."""
+        total = int(np.prod(runs)) * n
+        x = np.asarray(model.sample_initial(total, rng), dtype=float)
+        if x.shape != (total, model.n_x):
+            raise ValueError(f"sample_initial({total}, rng) must give shape ({total}, {model.n_x}), it gave {x.shape}")
+        return x.reshape(*runs, n, model.n_x)
+
+    return start
 
 
 def _track(steps, axis):
