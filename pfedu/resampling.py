@@ -62,8 +62,10 @@ def stratified(weights, rng, size=None):
     [0, 1]
     """
     w, size = _check(weights, size)
-    points = (np.arange(size) + rng.random((*w.shape[:-1], size))) / size
-    return _particles_at(points, w)
+    ends = size * _cumulative(w)  # (..., N), where each particle's stretch ends, counted in cells
+    cell = np.minimum(ends.astype(np.intp), size - 1)
+    below = cell + (np.take_along_axis(rng.random((*w.shape[:-1], size)), cell, axis=-1) < ends - cell)
+    return _copied(np.where(ends >= size, size, below))
 
 
 def systematic(weights, rng, size=None):
@@ -79,8 +81,9 @@ def systematic(weights, rng, size=None):
     [0, 1, 1, 2]
     """
     w, size = _check(weights, size)
-    points = (np.arange(size) + rng.random((*w.shape[:-1], 1))) / size
-    return _particles_at(points, w)
+    ends = size * _cumulative(w)  # (..., N), where each particle's stretch ends, counted in teeth
+    below = np.ceil(ends - rng.random((*w.shape[:-1], 1))).astype(np.intp)  # teeth at u, 1 + u, 2 + u, ...
+    return _copied(np.where(ends >= size, size, below))
 
 
 def residual(weights, rng, size=None):
@@ -131,15 +134,24 @@ def _first(array, bad):
     return np.asarray(array)[bad].ravel()[0]
 
 
-def _particles_at(points, w):
-    """The particle whose stretch of the unit interval holds each point.
+def _cumulative(w):
+    """Where the stretch of the unit interval that belongs to each particle ends.
 
     Dividing by the last cumulative sum makes it exactly one, so no point falls off the end however
     the sum was rounded; a weight of zero is a stretch of length zero, which no point can fall into.
     """
-    n = w.shape[-1]
     c = np.cumsum(w, axis=-1)  # (..., N)
-    c /= c[..., -1:]
+    return c / c[..., -1:]
+
+
+def _copied(below):
+    """Ancestors, given how many of the points lie below the end of each particle's stretch."""
+    return _repeat(np.diff(below, axis=-1, prepend=0), int(below[..., -1].flat[0]))
+
+
+def _particles_at(points, w):
+    """The particle whose stretch of the unit interval holds each point."""
+    n, c = w.shape[-1], _cumulative(w)
     if w.ndim == 1:
         found = np.searchsorted(c, points, side="right")
     else:  # all runs in one search: run r lives on [r, r + 1)

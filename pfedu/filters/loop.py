@@ -383,11 +383,11 @@ def _resampled(algorithm, x, log_w, due, pick, rng, ahead):
 
 def _select(part, ancestors):
     """Copy what each ancestor carries; what all particles share stays shared."""
-    axis = ancestors.ndim - 1
-    if part.shape[axis] == 1 and ancestors.shape[-1] > 1:
+    axis, n = ancestors.ndim - 1, ancestors.shape[-1]
+    if part.shape[axis] == 1 and n > 1:
         return part
-    index = ancestors.reshape(*ancestors.shape, *(1,) * (part.ndim - ancestors.ndim))
-    return np.take_along_axis(part, index, axis=axis)
+    first = n * np.arange(ancestors[..., 0].size).reshape(*ancestors.shape[:-1], 1)  # of each run, runs end to end
+    return part.reshape(-1, *part.shape[axis + 1 :]).take(ancestors + first, axis=0)
 
 
 def _each(function, x):
