@@ -3,7 +3,9 @@
 ``python benchmarks/against_particles.py [repeats]`` needs particles 0.4 beside pfedu; it asks for older versions of
 numpy and scipy, so give it an environment of its own:
 
-    python -m venv bench && bench/bin/pip install particles==0.4 -e . && bench/bin/python benchmarks/against_particles.py
+    python -m venv bench
+    bench/bin/pip install particles==0.4 -e .
+    bench/bin/python benchmarks/against_particles.py
 
 Both filter the same record, resample systematically when N_eff falls below N/2, and give mean and variance of each
 step. The two take turns, and what is printed is the ratio of each pair.
@@ -41,7 +43,7 @@ class Growth(state_space_models.StateSpaceModel):
 
 def theirs(y, n, runs):
     for seed in range(runs):
-        np.random.seed(seed)  # noqa: NPY002: it has no other generator
+        np.random.seed(seed)  # noqa: NPY002
         model = state_space_models.Bootstrap(ssm=Growth(), data=y[:, 0])
         particles.SMC(fk=model, N=n, resampling="systematic", ESSrmin=0.5, collect=[Moments()]).run()
 
