@@ -4,16 +4,22 @@ import numpy as np
 import pytest
 from records import reference
 
+from pfedu import bootstrap_filter, grid_filter
 from pfedu.kalman import kalman_filter
 from pfedu.models import (
     AdditiveGaussian,
+    AdditiveProcess,
     LinearGaussian,
     MissingPieceError,
     StateSpaceModel,
+    copies,
     growth,
     local_level,
     random_walk,
+    ratio,
     require,
+    stochastic_volatility,
+    van_der_pol,
 )
 
 F, H = np.array([[1.0, 0.5], [-0.2, 0.9]]), np.array([[1.0, 2.0]])
@@ -249,3 +255,108 @@ def test_a_model_keeps_its_own_copy_of_what_it_was_given():
     model = LinearGaussian(F=1.0, H=1.0, Q=Q, R=1.0, m0=0.0, P0=5.0)
     Q *= 100
     assert model.Q.item() == 10.0
+
+
+# The worked systems, each against its formula or against moments in closed form.
+
+
+def test_ratio_is_what_it_says():
+    """Catches the denominators of the two sisters exchanged, and a pole that becomes NaN instead of infinity."""
+    x = np.array([[2.0], [-0.5]])
+    np.testing.assert_allclose(ratio().f(1, x), [[4 / 9], [0.25 / 0.875]])
+    np.testing.assert_allclose(ratio(power=2).f(1, x), [[4 / 5], [0.25 / 1.25]])
+    assert ratio().H.tolist() == [[1.0]] and ratio(q=0.1, r=1.0, p0=10.0).P0.tolist() == [[10.0]]
+    with np.errstate(all="raise"):
+        at_the_pole = ratio().f(1, np.array([[-1.0]]))
+    assert np.isposinf(at_the_pole).all() and ratio().log_likelihood(1, np.zeros(1), at_the_pole).tolist() == [-np.inf]
+    with pytest.raises(ValueError, match="power must be 3 or 2, got 4"):
+        ratio(power=4)
+
+
+def test_stochastic_volatility_in_the_long_run():
+    """Catches a start that is not stationary, and a variance of the state taken for that of the return.
+
+    log y^2 = x + log chi^2_1, whose mean is mu - gamma - log 2 and whose variance is q/(1 - phi^2) + pi^2/2; runs are
+    independent, so that the standard errors of a mean and of a variance (kurtosis bounded by 7) are simple.
+    """
+    mu, phi, q, n = -1.0, 0.9, 0.1, 40_000
+    x, y = stochastic_volatility(mu, phi, q).simulate(5, np.random.default_rng(1), n_runs=n)
+    var = q / (1 - phi**2)
+    for k in (0, 5):
+        assert standardised_mean(x[:, k], mu, var) < SEVERAL
+        assert abs(x[:, k].var() / var - 1) < SEVERAL * np.sqrt(2 / n)
+        log_square = np.log(y[:, k] ** 2)
+        assert standardised_mean(log_square, mu - np.euler_gamma - np.log(2), var + np.pi**2 / 2) < SEVERAL
+    lag = np.mean((x[:, 4, 0] - mu) * (x[:, 5, 0] - mu)) / var
+    assert abs(lag - phi) < SEVERAL * np.sqrt(2 / n)
+    for bad in (1.0, -1.2):
+        with pytest.raises(ValueError, match="phi must lie between -1 and 1"):
+            stochastic_volatility(phi=bad)
+
+
+def test_the_likelihood_of_a_return():
+    """Catches a lost constant or sign: the density of y given x is that of N(0, exp(x))."""
+    y, x = np.array([0.3]), np.array([[-1.0], [2.0]])
+    want = [-0.5 * (np.log(2 * np.pi * np.exp(v)) + 0.09 / np.exp(v)) for v in (-1.0, 2.0)]
+    np.testing.assert_allclose(stochastic_volatility().log_likelihood(1, y, x), want)
+
+
+def test_the_oscillator_turns_as_the_equation_says():
+    """Catches a sign: for small steps a period of mu = 0 is 2 pi, and mu = 1 has its limit cycle of amplitude 2.009."""
+    quiet = dict(q=0.0, dt=1e-3, p0=0.0)
+    circle = van_der_pol(mu=0.0, **quiet).simulate(6283, np.random.default_rng(1))[0]
+    np.testing.assert_allclose(circle[-1], [2.0, 0.0], atol=0.01)
+    cycle = van_der_pol(mu=1.0, **quiet).simulate(20_000, np.random.default_rng(1))[0]
+    assert np.abs(cycle[10_000:, 0]).max() == pytest.approx(2.009, abs=0.01)
+
+
+def test_copies_are_independent_copies():
+    """Catches copies that mix, and measurements out of order: each copy is the model itself."""
+    for model in (growth(), van_der_pol(), linear_2d()):
+        many, x = copies(model, 3), np.random.default_rng(1).standard_normal((5, 3 * model.n_x))
+        apart = x.reshape(5, 3, model.n_x)
+        assert (many.n_x, many.n_y) == (3 * model.n_x, 3 * model.n_y)
+        np.testing.assert_allclose(many.f(2, x).reshape(apart.shape), model.f(2, apart))
+        np.testing.assert_allclose(many.h(2, x).reshape(5, 3, model.n_y), model.h(2, apart))
+        np.testing.assert_allclose(many.log_transition(2, x[1:], x[:-1]),
+                                   model.log_transition(2, apart[1:], apart[:-1]).sum(axis=-1))  # fmt: skip
+        np.testing.assert_allclose(many.log_initial(x), model.log_initial(apart).sum(axis=-1))
+    assert isinstance(copies(linear_2d(), 2), LinearGaussian) and hasattr(copies(van_der_pol(), 2), "H")
+    with pytest.raises(ValueError, match="number of copies must be a whole number of at least 1, got 0"):
+        copies(growth(), 0)
+
+
+def test_matrices_in_place_of_functions():
+    """Catches a matrix taken for a function, and one whose shape nobody checked."""
+    model = AdditiveGaussian(f=lambda k, x: np.sin(x), h=H, Q=Q, R=R, m0=M0, P0=P0)
+    x = np.random.default_rng(1).standard_normal((4, 2))
+    np.testing.assert_allclose(model.h(1, x), x @ H.T)
+    np.testing.assert_array_equal(model.jacobian_h(1, x), np.broadcast_to(H, (4, 1, 2)))
+    assert not hasattr(model, "F")
+    with pytest.raises(ValueError, match=r"H must be \(1, 2\) to fit m0 and R, got \(1, 3\)"):
+        AdditiveGaussian(f=F, h=[[1.0, 2.0, 3.0]], Q=Q, R=R, m0=M0, P0=P0)
+
+
+@pytest.mark.parametrize("x0", [[1.0, 2.0], [[1.0, 2.0], [3.0, 4.0]]])
+def test_a_simulation_starts_where_it_is_told(x0):
+    """Catches a start drawn all the same, or all runs at that of the first."""
+    x, _ = linear_2d().simulate(3, np.random.default_rng(1), n_runs=2, x0=x0)
+    np.testing.assert_array_equal(x[:, 0], np.broadcast_to(x0, (2, 2)))
+    with pytest.raises(ValueError, match=r"x0 must be a state, shape \(2,\), or one a run, \(2, 2\); got \(3,\)"):
+        linear_2d().simulate(3, np.random.default_rng(1), n_runs=2, x0=[1.0, 2.0, 3.0])
+
+
+def test_a_process_with_a_measurement_of_any_kind():
+    """Catches an AdditiveProcess that only works with Gaussian measurements: counts, filtered and on the grid."""
+
+    def log_likelihood(k, y, x):
+        return (y * x - np.exp(x))[..., 0]  # Poisson, up to its constant
+
+    model = AdditiveProcess(
+        0.9, log_likelihood, Q=0.1, m0=0.0, P0=1.0, measure=lambda k, x, rng: rng.poisson(np.exp(x))
+    )
+    y = model.simulate(10, np.random.default_rng(1))[1]
+    exact = grid_filter(model, y, np.linspace(-6, 6, 601))
+    track = bootstrap_filter(model, y, 1000, rng=np.random.default_rng(2), n_runs=200)
+    error = track.mean.mean(axis=0) - exact.mean
+    assert (np.abs(error) < SEVERAL * track.mean.std(axis=0) / np.sqrt(200) + 5 * exact.sd / 1000).all()
