@@ -65,7 +65,7 @@ def stratified(weights, rng, size=None):
     ends = size * _cumulative(w)  # (..., N), where each particle's stretch ends, counted in cells
     cell = np.minimum(ends.astype(np.intp), size - 1)
     below = cell + (np.take_along_axis(rng.random((*w.shape[:-1], size)), cell, axis=-1) < ends - cell)
-    return _copied(np.where(ends >= size, size, below))
+    return _copied(np.where(ends >= size, size, below), size)
 
 
 def systematic(weights, rng, size=None):
@@ -83,7 +83,7 @@ def systematic(weights, rng, size=None):
     w, size = _check(weights, size)
     ends = size * _cumulative(w)  # (..., N), where each particle's stretch ends, counted in teeth
     below = np.ceil(ends - rng.random((*w.shape[:-1], 1))).astype(np.intp)  # teeth at u, 1 + u, 2 + u, ...
-    return _copied(np.where(ends >= size, size, below))
+    return _copied(np.where(ends >= size, size, below), size)
 
 
 def residual(weights, rng, size=None):
@@ -144,9 +144,12 @@ def _cumulative(w):
     return c / c[..., -1:]
 
 
-def _copied(below):
-    """Ancestors, given how many of the points lie below the end of each particle's stretch."""
-    return _repeat(np.diff(below, axis=-1, prepend=0), int(below[..., -1].flat[0]))
+def _copied(below, size):
+    """Ancestors of ``size`` points in order, given how many of them lie below the end of each particle's stretch.
+
+    Point j belongs to the particle before which exactly so many stretches end as end at or below j.
+    """
+    return np.cumsum(_count(below, size + 1)[..., :-1], axis=-1)
 
 
 def _particles_at(points, w):

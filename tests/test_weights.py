@@ -1,13 +1,23 @@
 """Weights: the arithmetic under every filter."""
 
+import json
 import math
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from records import REFERENCE
 
-from pfedu.weights import ZeroLikelihoodError, effective_sample_size, normalize, weighted_cov, weighted_mean
+from pfedu.weights import (
+    ZeroLikelihoodError,
+    as_circular,
+    effective_sample_size,
+    normalize,
+    weighted_cov,
+    weighted_mean,
+    wrap,
+)
 
 EPS = np.finfo(float).eps
 
@@ -177,3 +187,113 @@ def test_particles_and_weights_that_do_not_fit_are_an_error(moment, x, log_w):
     """Catches broadcasting that gives a number of the right shape and the wrong value."""
     with pytest.raises(ValueError, match="do not fit"):
         moment(np.zeros(x), np.zeros(log_w))
+
+
+# Angles
+
+angles = st.lists(st.tuples(st.floats(-30, 30), st.floats(-5, 5)), min_size=1, max_size=20)
+
+
+def direction(angle):
+    return np.exp(1j * np.asarray(angle))
+
+
+@properties
+@given(st.lists(st.floats(-1e6, 1e6), min_size=1, max_size=20))
+def test_a_wrapped_angle_is_the_same_direction_within_pi(values):
+    """Catches an interval of [0, 2 pi), one that rounding steps out of, and angles of many turns."""
+    inside = wrap(values)
+    assert (np.abs(inside) <= np.pi).all()
+    # angles of up to 1e6 and multiples of 2 pi are rounded at that size
+    np.testing.assert_allclose(direction(inside), direction(values), rtol=0, atol=4 * 1e6 * EPS)
+    np.testing.assert_array_equal(wrap(inside), inside)
+
+
+@pytest.mark.parametrize("angle", [0.0, 1.0, np.pi, -np.pi, np.nextafter(np.pi, 0), 1e-300])
+def test_an_angle_within_pi_keeps_its_bits(angle):
+    """Catches (angle + pi) % (2 pi) - pi, which rounds every angle and turns pi into -pi."""
+    assert wrap(angle) == angle
+
+
+@pytest.mark.parametrize("turns", [-7, -1, 1, 2, 1000])
+def test_an_odd_multiple_of_pi_stays_within_pi(turns):
+    """Catches an angle an ulp beyond pi where the multiple was rounded."""
+    for angle in (np.pi * (2 * turns + 1), np.nextafter(np.pi * (2 * turns + 1), [-np.inf, np.inf])):
+        assert (np.abs(wrap(angle)) <= np.pi).all()
+        np.testing.assert_allclose(direction(wrap(angle)), -1, atol=1e-9)
+
+
+def test_only_angles_are_wrapped():
+    """Catches a position taken for an angle."""
+    np.testing.assert_allclose(wrap([[7.0, 7.0]], [False, True]), [[7.0, 7.0 - 2 * np.pi]], rtol=1e-15)
+
+
+def test_circular_moments_in_closed_form():
+    """Catches the mean across the seam, differences not wrapped, the unbiased variance, and R taken for 1."""
+    case = json.loads((REFERENCE / "api_cases.json").read_text(encoding="utf-8"))["circular"]
+    x, log_w = np.array(case["angles"])[:, None], np.log(case["weights"])
+    np.testing.assert_allclose(weighted_mean(x, log_w, [True]), [case["circular_mean"]], rtol=1e-14)
+    np.testing.assert_allclose(weighted_mean(x, log_w, [False]), [case["linear_mean"]], rtol=1e-14)
+    np.testing.assert_allclose(weighted_cov(x, log_w, [True]), [[case["wrapped_var_biased"]]], rtol=1e-12)
+    assert np.exp(log_w) @ np.cos(x[:, 0] - case["circular_mean"]) == pytest.approx(case["R"], rel=1e-14)
+
+
+@properties
+@given(angles, st.floats(-10, 10))
+def test_circular_moments_turn_with_the_circle(rows, turn):
+    """Catches any place on the circle that is treated differently: the seam must not be seen.
+
+    Where the resultant is short the mean direction is the ratio of small numbers: rounding is divided by it.
+    """
+    x, log_w = np.array(rows)[:, :1], normalize(np.array(rows)[:, 1])[0]
+    resultant = abs(np.exp(log_w) @ direction(x[:, 0]))
+    if resultant < 1e-3:
+        return
+    mean, moved = weighted_mean(x, log_w, [True]), weighted_mean(x + turn, log_w, [True])
+    atol = 1e-13 / resultant
+    np.testing.assert_allclose(direction(moved), direction(mean + turn), rtol=0, atol=atol)
+    opposite = np.abs(np.abs(wrap(x - mean)) - np.pi).min()
+    if opposite > 1e-9:  # a particle opposite the mean differs from it by pi or by -pi
+        cov = weighted_cov(x, log_w, [True])
+        np.testing.assert_allclose(weighted_cov(x + turn, log_w, [True]), cov, rtol=0, atol=20 * atol)
+
+
+@properties
+@given(angles)
+def test_near_a_point_a_circle_is_a_line(rows):
+    """Catches moments that are not those of the line where angles keep within 1e-4: sin d = d - d^3/6."""
+    x, log_w = 1e-4 * np.array(rows)[:, :1] / 30, normalize(np.array(rows)[:, 1])[0]
+    np.testing.assert_allclose(weighted_mean(x, log_w, [True]), weighted_mean(x, log_w), rtol=0, atol=1e-12)
+    np.testing.assert_allclose(weighted_cov(x, log_w, [True]), weighted_cov(x, log_w), rtol=0, atol=1e-15)
+
+
+def test_an_angle_beside_a_position():
+    """Catches wrapped differences that do not go into the covariance of angle and position, each run alone.
+
+    Angles pi -+ 0.1 with positions -+ 10, so the covariance is that of +-0.1 and +-10: 0.01, 1, 100.
+    """
+    x = np.array([[[np.pi - 0.1, -10.0], [-np.pi + 0.1, 10.0]], [[0.1, -10.0], [-0.1, 10.0]]])
+    log_w = np.log(np.full((2, 2), 0.5))
+    mean, cov = weighted_mean(x, log_w, [True, False]), weighted_cov(x, log_w, [True, False])
+    np.testing.assert_allclose(np.abs(mean), [[np.pi, 0], [0, 0]], rtol=0, atol=1e-14)
+    np.testing.assert_allclose(cov, [[[0.01, 1], [1, 100]], [[0.01, -1], [-1, 100]]], rtol=1e-12)
+
+
+def test_no_circular_state_changes_no_bit():
+    """Catches a detour by way of sine and cosine for states that are no angles."""
+    rng = np.random.default_rng(3)
+    x, log_w = rng.standard_normal((4, 30, 2)), normalize(rng.standard_normal((4, 30)))[0]
+    for moment in (weighted_mean, weighted_cov):
+        np.testing.assert_array_equal(moment(x, log_w, [False, False]), moment(x, log_w))
+
+
+@pytest.mark.parametrize("circular", [True, [True], [0, 1], [True, False, True], ["yes", "no"]])
+def test_flags_that_do_not_fit_are_an_error(circular):
+    """Catches one flag spread to all states, and numbers of states (0, 1) taken for flags."""
+    for use in (
+        lambda: as_circular(circular, 2),
+        lambda: weighted_mean(np.zeros((3, 2)), np.log([0.5, 0.25, 0.25]), circular),
+        lambda: weighted_cov(np.zeros((3, 2)), np.log([0.5, 0.25, 0.25]), circular),
+    ):
+        with pytest.raises(ValueError, match="circular must be 2 times True or False, one for each state"):
+            use()

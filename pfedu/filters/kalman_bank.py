@@ -2,10 +2,11 @@
 
 import numpy as np
 
-from pfedu.filters.loop import Algorithm, moments, particle_filter
+from pfedu.filters.loop import Algorithm, particle_filter
 from pfedu.kalman import linearised, require_gaussian
 from pfedu.resampling import always
 from pfedu.unscented import Unscented, sampled
+from pfedu.weights import weighted_moments
 
 FILTERS = ("ekf", "ukf")
 
@@ -81,7 +82,7 @@ def kalman_bank_filter(model, y, n_particles, *, rng, kalman="ekf", use_twice=Fa
         start=start,
         first=lambda y, bank: weigh(0, y, bank),
         predict=blind,
-        moments=(lambda bank, log_w: moments(bank[0], log_w)) if use_twice else mixture_moments,
+        moments=(lambda bank, log_w: weighted_moments(bank[0], log_w)) if use_twice else mixture_moments,
     )
     return particle_filter(
         algorithm, model, y, n_particles, rng=rng, resampling=resampling, policy=policy, keep=keep, n_runs=n_runs
@@ -114,6 +115,6 @@ def mixture_moments(bank, log_w):
     [[3.0]]
     """
     m, P = bank
-    mean, cov = moments(m, log_w)
+    mean, cov = weighted_moments(m, log_w)
     within = P[..., 0, :, :] if P.shape[-3] == 1 else np.einsum("...i,...ijk->...jk", np.exp(log_w), P)
     return mean, cov + within

@@ -12,31 +12,7 @@ import numpy as np
 from pfedu.models import read_only, require, streams
 from pfedu.resampling import scheme
 from pfedu.track import Track, read_record
-from pfedu.weights import ZeroLikelihoodError, effective_sample_size, normalize, weighted_cov, weighted_mean
-
-
-def moments(x, log_w):
-    """Mean and covariance of weighted particles.
-
-    Parameters
-    ----------
-    x : ndarray, shape (..., N, n_x)
-    log_w : ndarray, shape (..., N)
-        Normalised log weights.
-
-    Returns
-    -------
-    mean : ndarray, shape (..., n_x)
-    cov : ndarray, shape (..., n_x, n_x)
-
-    Examples
-    --------
-    >>> from pfedu.filters.loop import moments
-    >>> mean, cov = moments(np.array([[0.0], [2.0]]), np.log([0.5, 0.5]))
-    >>> mean.tolist(), cov.tolist()
-    ([1.0], [[1.0]])
-    """
-    return weighted_mean(x, log_w), weighted_cov(x, log_w)
+from pfedu.weights import ZeroLikelihoodError, effective_sample_size, normalize, weighted_moments
 
 
 @dataclass(frozen=True)
@@ -87,7 +63,7 @@ class Algorithm:
 
     def estimate(self, x, log_w):
         """Mean and covariance of what the particles say."""
-        return self.moments(x, log_w) if self.moments else moments(self.state(x), log_w)
+        return self.moments(x, log_w) if self.moments else weighted_moments(self.state(x), log_w)
 
 
 def particle_filter(algorithm, model, y, n_particles, *, rng, resampling, policy, keep=False, n_runs=None):
@@ -165,7 +141,8 @@ def particle_filter(algorithm, model, y, n_particles, *, rng, resampling, policy
         count, news, ahead = count + ~missing[..., k], ~missing[..., k], None
         if algorithm.look_ahead and k + 1 < y.shape[-2]:
             ahead = foresee(algorithm, k + 1, y[..., k + 1, :], missing[..., k + 1], x, rng_pick)
-            news, n_eff = news | ~missing[..., k + 1], effective_sample_size(log_w + ahead)
+            news = news | ~missing[..., k + 1]
+            n_eff = effective_sample_size(reweight(log_w, ahead, k + 1)[0])
         due = policy(n_eff, n_particles, count) & news
         x, log_w, ancestors = _resampled(algorithm, x, log_w, due, pick, rng_pick, ahead)
         steps.append((*step, due, *kept))

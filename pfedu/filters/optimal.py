@@ -88,7 +88,7 @@ def conditioned(model, purpose):
     MissingPieceError
         If the model has no H.
     ValueError
-        If S is singular.
+        If S is singular, or the process noise is not simply added.
 
     Examples
     --------
@@ -100,8 +100,12 @@ def conditioned(model, purpose):
     """
     for piece in ("f", "Q", "H", "R"):
         require(model, piece, purpose)
+    if not model.noise_is_additive:
+        raise ValueError(f"the noise of {type(model).__name__} is not simply added, which {purpose} needs")
     H, Q = model.H, model.Q
     S = Gaussian(H @ Q @ H.T + model.R, "S = H Q H' + R")
+    if S.is_singular:
+        raise ValueError(f"{S.name} is singular: a measurement without noise of what the process noise does not move")
     K = np.linalg.solve(S.cov, H @ Q).T
     A = np.eye(model.n_x) - K @ H
     Sigma = Gaussian(A @ Q @ A.T + K @ model.R @ K.T, "Sigma")

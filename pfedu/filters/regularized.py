@@ -4,9 +4,10 @@ from math import gamma, pi
 
 import numpy as np
 
-from pfedu.filters.loop import Algorithm, moments, particle_filter
+from pfedu.filters.loop import Algorithm, particle_filter
 from pfedu.gaussian import sqrt_cov
 from pfedu.resampling import ratio
+from pfedu.weights import weighted_moments
 
 KERNELS = ("epanechnikov", "gaussian")
 
@@ -72,7 +73,7 @@ def regularized_filter(model, y, n_particles, *, rng, kernel="epanechnikov", ban
         raise ValueError(f"bandwidth must be at least 0, and the kernel narrower than the cloud to shrink it; got {h}")
 
     def perturb(x, before, log_w, rng):
-        mean, cov = moments(before, log_w)
+        mean, cov = weighted_moments(before, log_w)
         if shrink:
             m = mean[..., None, :]
             x = m + np.sqrt(1.0 - spread) * (x - m)
