@@ -143,7 +143,7 @@ class Gaussian:
 
         Returns
         -------
-        ndarray, shape (*shape, n)
+        ndarray, shape (..., n)
         """
         z = rng.standard_normal((*shape, self.n))
         return z * self.root[0, 0] if self.n == 1 else z @ self.root.T

@@ -5,12 +5,12 @@ particle i is expected ``size * w_i`` times among the ancestors, and never if ``
 They differ in how far the counts scatter about that expectation, because they differ in how they
 place ``size`` points on the unit interval:
 
-========== ==================================================================
+=========== ==================================================================
 multinomial all points independent
 residual    the whole copies ``floor(size * w_i)`` first, the rest multinomial
 stratified  one point at random in each of ``size`` equal cells
 systematic  one random offset, shared by all cells (a comb)
-========== ==================================================================
+=========== ==================================================================
 """
 
 from dataclasses import dataclass

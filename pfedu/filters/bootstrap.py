@@ -23,7 +23,7 @@ def bootstrap_filter(
         Measurements, row k is time k; leading axes are independent records. A row of NaN is missing:
         predicted over, not corrected, not resampled.
     n_particles : int
-        N.
+        Their number, N.
     rng : numpy.random.Generator
         A generator freshly made from the same seed gives the same bits. (Two are spawned off it at
         each call, so that restoring the state of its bit generator alone does not.)

@@ -42,7 +42,7 @@ class Algorithm:
         had the normalised log weights ``log_w``.
     state : callable, optional
         ``(x) -> (..., N, n_x)``: the states among what particles carry; the first array of a tuple by default.
-    moments : callable
+    moments : callable, optional
         ``(x, log_w) -> mean (..., n_x), cov (..., n_x, n_x)``; of the states by default.
 
     Examples
@@ -58,12 +58,18 @@ class Algorithm:
     predict: Callable | None = None
     look_ahead: Callable | None = None
     perturb: Callable | None = None
-    state: Callable = lambda x: x[0] if isinstance(x, tuple) else x
+    state: Callable | None = None
     moments: Callable | None = None
+
+    def states(self, x):
+        """States of the particles: (..., N, n_x)."""
+        if self.state:
+            return self.state(x)
+        return x[0] if isinstance(x, tuple) else x
 
     def estimate(self, x, log_w):
         """Mean and covariance of what the particles say."""
-        return self.moments(x, log_w) if self.moments else weighted_moments(self.state(x), log_w)
+        return self.moments(x, log_w) if self.moments else weighted_moments(self.states(x), log_w)
 
 
 def particle_filter(algorithm, model, y, n_particles, *, rng, resampling, policy, keep=False, n_runs=None):
@@ -136,7 +142,7 @@ def particle_filter(algorithm, model, y, n_particles, *, rng, resampling, policy
         # Estimate, before resampling adds its noise
         n_eff = effective_sample_size(log_w)
         step = (*algorithm.estimate(x, log_w), increment, n_eff)
-        kept = (algorithm.state(x), log_w, ancestors) if keep else (None, None, None)
+        kept = (algorithm.states(x), log_w, ancestors) if keep else (None, None, None)
         # Resample, by the weights and by what the next measurement says if the filter looks ahead
         count, news, ahead = count + ~missing[..., k], ~missing[..., k], None
         if algorithm.look_ahead and k + 1 < y.shape[-2]:
@@ -232,11 +238,11 @@ def foresee(algorithm, k, y, missing, x, rng):
     [-1.0, -0.0]
     """
     if missing.all():
-        return np.zeros(algorithm.state(x).shape[:-1])
+        return np.zeros(algorithm.states(x).shape[:-1])
     ahead = algorithm.look_ahead(k, y[..., None, :], _each(read_only, x), rng)
-    if np.shape(ahead) != algorithm.state(x).shape[:-1]:
+    if np.shape(ahead) != algorithm.states(x).shape[:-1]:
         raise ValueError(f"step {k}: looking ahead must give one value a particle, shape "
-                         f"{algorithm.state(x).shape[:-1]}, it gave {np.shape(ahead)}")  # fmt: skip
+                         f"{algorithm.states(x).shape[:-1]}, it gave {np.shape(ahead)}")  # fmt: skip
     return np.where(missing[..., None], 0.0, ahead)
 
 
