@@ -30,10 +30,10 @@ class Track:
         With ``keep=True``: their normalised log weights, before resampling.
     ancestors : ndarray of int, shape (..., T+1, N) or None
         With ``keep=True``: which particle of step k-1 each particle of step k comes from.
-    grid : ndarray, shape (G,) or None
-        Grid filter: the nodes.
-    density : ndarray, shape (..., T+1, G) or None
-        Grid filter: posterior density at the nodes.
+    grid : ndarray, shape (G,), or tuple of two, shapes (G_1,) and (G_2,), or None
+        Grid filter: the nodes; for a state of two dimensions those of each axis.
+    density : ndarray, shape (..., T+1, G) or (..., T+1, G_1, G_2), or None
+        Grid filter: posterior density at the nodes, or at all pairs of them.
 
     Examples
     --------

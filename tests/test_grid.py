@@ -1,12 +1,24 @@
 """The grid filter: exact where the Kalman filter is, and where it is not."""
 
+import tracemalloc
+
 import numpy as np
 import pytest
 from records import measurements, reference
 
+import pfedu.grid
+from pfedu.gaussian import log_density
 from pfedu.grid import GridError, grid_filter, trapezoid_weights
 from pfedu.kalman import kalman_filter
-from pfedu.models import AdditiveGaussian, LinearGaussian, MissingPieceError, StateSpaceModel, growth, random_walk
+from pfedu.models import (
+    AdditiveGaussian,
+    LinearGaussian,
+    MissingPieceError,
+    StateSpaceModel,
+    growth,
+    random_walk,
+    ratio,
+)
 
 NAN = np.nan
 
@@ -50,6 +62,32 @@ def test_the_wrong_phase_is_another_model():
     """Shows that the test above can fail: one step off costs tens of units of log-likelihood."""
     wrong = grid_filter(growth(phase=1), measurements("growth_A"), np.linspace(-50, 50, 501))
     assert wrong.log_likelihood < -122.64020650 - 10
+
+
+def test_the_ratio_record():
+    """Catches a motion with a pole put on nodes that do not crowd about it, and weights off by more than is known.
+
+    With nodes x = -1 + c sinh(u), u in even steps of h, half the distance of both neighbours is x'(u) sinh(h): the
+    rule that is exact in u, h x'(u), times one constant, sinh(h)/h. Normalising takes the constant out of every
+    posterior, so moments agree to rounding; each increment keeps its logarithm, h^2/6 = 2e-4. The number of nodes
+    is even, so that none lies on the pole. The ends are far out because a state near the pole is thrown that far:
+    a step loses 2/3 p(-1)/300, which is 4e-4 at most.
+    """
+    u = np.linspace(np.arcsinh(-299 / 0.01), np.arcsinh(301 / 0.01), 600)
+    data, h = reference("ratio_A"), u[1] - u[0]
+    track = grid_filter(ratio(), measurements("ratio_A"), -1 + 0.01 * np.sinh(u))
+    np.testing.assert_allclose(track.mean[:, 0], data["post_mean"], rtol=0, atol=1e-13)
+    np.testing.assert_allclose(track.cov[:, 0, 0], data["post_var"], rtol=0, atol=1e-13)
+    known = np.where(np.arange(51) > 0, np.log(np.sinh(h) / h), 0.0)  # the missing row has no increment
+    np.testing.assert_allclose(track.log_likelihood_increments - known, data["loglik_inc"], rtol=0, atol=1e-12)
+    assert track.log_likelihood - known.sum() == pytest.approx(-69.03025606, abs=1e-8)  # so many digits are known
+
+
+def test_tails_cut_off_by_the_ends_call_for_a_wider_grid():
+    """Catches the advice of a finer grid where 0.3 % of the states lie beyond the ends, in a tail too low to see."""
+    nodes = -1 + 0.01 * np.sinh(np.linspace(np.arcsinh(-24 / 0.01), np.arcsinh(26 / 0.01), 400))
+    with pytest.raises(GridError, match=r"step 1 the density integrates to 0\.997\d .* use a wider grid"):
+        grid_filter(ratio(), measurements("ratio_A"), nodes)
 
 
 def test_a_missing_row_is_predicted_over():
@@ -165,13 +203,6 @@ def test_a_singular_noise_has_no_density():
         grid_filter(random_walk(q=0.0), [[NAN], [1.0]], EVEN)
 
 
-def test_two_states_are_an_error():
-    """Catches a state whose second component is dropped."""
-    model = LinearGaussian(F=np.eye(2), H=[[1.0, 0.0]], Q=np.eye(2), R=1.0, m0=[0.0, 0.0], P0=np.eye(2))
-    with pytest.raises(ValueError, match="state of one dimension, the model has 2"):
-        grid_filter(model, [[1.0]], EVEN)
-
-
 @pytest.mark.parametrize("nodes", [[0.0, 1.0], [0.0, 2.0, 1.0], [0.0, 0.0, 1.0], [0.0, NAN, 1.0], np.ones((3, 3))])
 def test_nodes_that_do_not_ascend_are_an_error(nodes):
     """Catches negative spacings, which give negative probabilities."""
@@ -204,7 +235,7 @@ def test_a_grid_too_coarse_for_the_motion_is_an_error(q, nodes):
 def test_what_passes_the_checks_is_accurate():
     """Catches a check that lets a coarse grid through: what is accepted is right to a twentieth of a deviation."""
     y = growth(q=1.0).simulate(50, np.random.default_rng(1))[1]
-    fine = grid_filter(growth(q=1.0), y, np.linspace(-50, 50, 4001))
+    fine = grid_filter(growth(q=1.0), y, np.linspace(-50, 50, 2401))  # 3201 change it by 6e-9
     accepted = grid_filter(growth(q=1.0), y, np.linspace(-50, 50, 1601))
     assert (np.abs(accepted.mean - fine.mean) < 0.05 * fine.sd).all()
 
@@ -224,3 +255,307 @@ def test_a_measurement_far_from_the_prediction_does_not_underflow():
     model, y = random_walk(q=1.0, r=1.0, p0=1.0), [[0.0], [0.0], [45.0]]
     track, exact = grid_filter(model, y, np.linspace(-80, 140, 4401)), kalman_filter(model, y)
     np.testing.assert_allclose(track.mean, exact.mean, atol=1e-8)
+
+
+# Two states. A sum over the pairs of nodes errs by a share of exp(-2 pi^2 v), v the least variance of
+# m1 x1 / h1 + m2 x2 / h2 over whole numbers m1 and m2, not both zero. The narrowest posterior on the widest
+# gaps below has v = 1.3, which leaves 5e-12; beyond the ends lies less than that.
+TURNING = LinearGaussian(F=[[0.9, 0.4], [-0.3, 0.8]], H=[[1.0, 0.5]], Q=[[1.0, 0.4], [0.4, 0.7]], R=0.8,
+                         m0=[1.0, -1.0], P0=[[2.0, 0.5], [0.5, 1.0]])  # fmt: skip
+EVEN_PAIR = (np.linspace(-12.5, 12.5, 45), np.linspace(-10.5, 10.5, 43))
+either_axis = pytest.mark.parametrize("axis", [1, 2])
+
+
+def parabola(end, n):
+    """Nodes on which the rule stays sharp, with a gap at one end 1.8 times that of the other, from -end to end."""
+    u = np.linspace(0.0, 1.0, n)
+    return -end + 2.0 * end * u * (1.0 + 0.4 * u) / 1.4
+
+
+UNEVEN_PAIR = (parabola(12.5, 51), -parabola(10.5, 49)[::-1])
+
+
+def pair(axis, this, other):
+    """The nodes ``this`` on that axis, ``other`` on the other one."""
+    return (this, other) if axis == 1 else (other, this)
+
+
+def assert_same(track, exact, atol):
+    """Compare mean, covariance and increments."""
+    for field in ("mean", "cov", "log_likelihood_increments"):
+        np.testing.assert_allclose(getattr(track, field), getattr(exact, field), rtol=0, atol=atol, err_msg=field)
+
+
+@pytest.mark.parametrize(
+    "grid", [EVEN_PAIR, UNEVEN_PAIR, (EVEN_PAIR[0], UNEVEN_PAIR[1])], ids=["even", "uneven", "one uneven"]
+)
+def test_two_states_are_the_kalman_filter_where_that_is_exact(grid):
+    """Catches axes or their weights swapped, F or the pairs of nodes transposed, and F or Q taken as diagonal.
+
+    Row 2 is missing: corrected with zero, or its step left out, it would show as well.
+    """
+    y = TURNING.simulate(3, np.random.default_rng(3))[1]
+    y[2] = NAN
+    track, exact = grid_filter(TURNING, y, grid), kalman_filter(TURNING, y)
+    assert_same(track, exact, atol=1e-11)
+    assert track.mean.shape == (4, 2) and track.cov.shape == (4, 2, 2)
+    assert track.log_likelihood_increments[2] == 0.0
+
+
+def test_densities_of_two_states_are_densities():
+    """Catches a density with its axes swapped, or probabilities handed out as densities.
+
+    A density at a node is a sum over where it came from, which is narrower than the posterior: its variance of 0.29
+    on gaps of 0.54 leaves 2e-9 of densities below 0.3. Moments, above, average that away.
+    """
+    y = TURNING.simulate(1, np.random.default_rng(3))[1]
+    track, exact = grid_filter(TURNING, y, UNEVEN_PAIR), kalman_filter(TURNING, y)
+    assert isinstance(track.grid, tuple) and track.density.shape == (2, 51, 49)
+    np.testing.assert_array_equal(track.grid[0], UNEVEN_PAIR[0])
+    np.testing.assert_array_equal(track.grid[1], UNEVEN_PAIR[1])
+    x = np.stack(np.meshgrid(*track.grid, indexing="ij"), axis=-1)
+    for k in range(2):
+        want = np.exp(log_density(x, exact.mean[k], exact.cov[k]))
+        np.testing.assert_allclose(track.density[k], want, rtol=0, atol=5e-9)
+
+
+@pytest.mark.parametrize("runs", [(3,), (2, 2)])
+def test_a_batch_of_two_states_is_a_loop_over_its_records(runs):
+    """Catches records that mix with each other or with an axis of the grid, also where only one misses a row.
+
+    Sums of some hundred terms in another order differ by 1e-14 of values up to 30.
+    """
+    y = TURNING.simulate(2, np.random.default_rng(1), n_runs=int(np.prod(runs)))[1]
+    y[1, 1], y[0, 0], y[:, 2] = NAN, NAN, NAN
+    y, grid = y.reshape(*runs, 3, 1), (np.linspace(-12.0, 12.0, 41), np.linspace(-10.0, 10.0, 35))
+    together = grid_filter(TURNING, y, grid)
+    assert together.mean.shape == (*runs, 3, 2) and together.cov.shape == (*runs, 3, 2, 2)
+    assert together.density.shape == (*runs, 3, 41, 35) and together.log_likelihood.shape == runs
+    for run in np.ndindex(runs):
+        alone = grid_filter(TURNING, y[run], grid)
+        np.testing.assert_allclose(together.density[run], alone.density, rtol=0, atol=1e-13)
+        np.testing.assert_allclose(together.cov[run], alone.cov, rtol=0, atol=1e-12)
+        np.testing.assert_allclose(together.log_likelihood[run], alone.log_likelihood, rtol=0, atol=1e-12)
+
+
+def swing(k, x):
+    """A motion with slopes between -1.1 and 2.1 that throws states apart at zero."""
+    return 0.5 * x + 1.6 * np.sin(x) + 0.3 * k
+
+
+ONES = [
+    AdditiveGaussian(f=swing, h=lambda k, x: x * x / 10, Q=q, R=r, m0=0.2, P0=2.0) for q, r in ((1.0, 0.3), (0.7, 0.6))
+]
+SWINGING = np.linspace(-10.0, 10.0, 48)
+
+
+def two_at_once(angle):
+    """Both problems of one state as one of two, in axes turned by an angle."""
+    c, s = np.cos(angle), np.sin(angle)
+    A = np.array([[c, -s], [s, c]])
+    f, h = lambda k, z: swing(k, z @ A) @ A.T, lambda k, z: (z @ A) ** 2 / 10
+    Q = A @ np.diag([1.0, 0.7]) @ A.T
+    return AdditiveGaussian(f=f, h=h, Q=Q, R=[0.3, 0.6], m0=A @ [0.2, 0.2], P0=[2.0, 2.0]), A
+
+
+def swinging_records(n_steps=3):
+    """A record of both quantities, and the two tracks of one state on a grid ten times as fine."""
+    y = np.hstack([model.simulate(n_steps, np.random.default_rng(i))[1] for i, model in enumerate(ONES, start=5)])
+    return y, [grid_filter(model, y[:, [i]], np.linspace(-12, 12, 601)) for i, model in enumerate(ONES)]
+
+
+def test_two_independent_states_have_the_product_of_their_densities():
+    """Catches what only a linear model hides; the posteriors have two peaks, so the joint one has four.
+
+    On a product grid the sums factor too, on any grid, so that the product holds to rounding.
+    """
+    y, _ = swinging_records()
+    one, two = (grid_filter(model, y[:, [i]], SWINGING) for i, model in enumerate(ONES))
+    both = grid_filter(two_at_once(0.0)[0], y, (SWINGING, SWINGING))
+    product = one.density[:, :, None] * two.density[:, None, :]
+    np.testing.assert_allclose(both.density, product, rtol=0, atol=1e-13)
+    np.testing.assert_allclose(both.mean, np.hstack([one.mean, two.mean]), rtol=0, atol=1e-12)
+    np.testing.assert_allclose(both.cov[:, 0, 1], 0.0, rtol=0, atol=1e-12)
+    increments = one.log_likelihood_increments + two.log_likelihood_increments
+    np.testing.assert_allclose(both.log_likelihood_increments, increments, rtol=0, atol=1e-12)
+    peaks = [count_peaks(track.density) for track in (one, two)]
+    assert min(peaks) > 1  # else this would be no harder than a Gaussian
+
+
+def count_peaks(density):
+    """The most peaks that the density of any step has."""
+    inside = density[:, 1:-1]
+    return ((inside > density[:, :-2]) & (inside > density[:, 2:])).sum(axis=-1).max()
+
+
+def test_two_states_in_turned_axes():
+    """Catches sums that are right only where states are independent: here neither density nor motion factors.
+
+    The narrowest thing summed is the motion as a function of where it came from, sqrt(0.7) / 2.1 = 0.40 wide: on
+    gaps of 0.43 that leaves 3e-8.
+    """
+    y, (one, two) = swinging_records()
+    model, A = two_at_once(0.6)
+    both = grid_filter(model, y, (SWINGING, SWINGING))
+    apart = np.stack([one.cov[:, 0, 0], two.cov[:, 0, 0]], axis=-1)  # (T+1, 2): a diagonal each
+    np.testing.assert_allclose(both.mean, np.hstack([one.mean, two.mean]) @ A.T, rtol=0, atol=1e-7)
+    np.testing.assert_allclose(both.cov, A * apart[:, None, :] @ A.T, rtol=0, atol=1e-7)
+    increments = one.log_likelihood_increments + two.log_likelihood_increments
+    np.testing.assert_allclose(both.log_likelihood_increments, increments, rtol=0, atol=1e-7)
+
+
+def test_a_step_taken_in_pieces_is_the_step(monkeypatch):
+    """Catches nodes left out, or taken twice, where a piece of the transition density ends."""
+    y = TURNING.simulate(1, np.random.default_rng(3), n_runs=2)[1]
+    whole = grid_filter(TURNING, y, EVEN_PAIR)
+    monkeypatch.setattr(pfedu.grid, "_AT_ONCE", 2 * 45 * 43 * 97)  # 1935 nodes in pieces of 97: the last has 92
+    pieces = grid_filter(TURNING, y, EVEN_PAIR)
+    np.testing.assert_allclose(pieces.density, whole.density, rtol=0, atol=1e-14)
+    monkeypatch.setattr(pfedu.grid, "_AT_ONCE", 1)  # one node at a time is the least
+    one_by_one = grid_filter(random_walk(), [[NAN], [0.5]], EVEN)
+    assert_same(one_by_one, kalman_filter(random_walk(), [[NAN], [0.5]]), atol=1e-9)
+
+
+def test_a_large_grid_fits_in_memory():
+    """Catches the transition density held whole: for 60 x 60 nodes one array of it is 104 MB, and a step has six."""
+    y = TURNING.simulate(1, np.random.default_rng(3))[1]
+    tracemalloc.start()
+    try:
+        grid_filter(TURNING, y, (np.linspace(-12, 12, 60), np.linspace(-11, 11, 60)))
+        peak = tracemalloc.get_traced_memory()[1]
+    finally:
+        tracemalloc.stop()
+    assert peak < 250e6
+
+
+@either_axis
+@pytest.mark.parametrize(("wide", "step"), [(3.5, 0), (6.0, 1)])
+def test_a_grid_narrow_along_one_axis_is_an_error(axis, wide, step):
+    """Catches the wrong axis named, and probability that leaves by the ends of one axis only."""
+    model = LinearGaussian(F=np.eye(2), H=[[0.0, 0.0]], Q=[4.0, 4.0], R=1.0, m0=[0.0, 0.0], P0=[2.0, 2.0])
+    grid = pair(axis, np.linspace(-wide, wide, 15), np.linspace(-14.0, 14.0, 29))
+    with pytest.raises(
+        GridError, match=rf"step {step} .* 0\.9\d+ .* it sticks out at an end of axis {axis}, use a wider"
+    ):
+        grid_filter(model, [[NAN], [0.5]], grid)
+
+
+def test_a_grid_narrow_along_both_axes_is_an_error():
+    """Catches one axis named where both are at fault."""
+    grid = (np.linspace(-3, 3, 31), np.linspace(-2, 2, 31))
+    with pytest.raises(GridError, match="it sticks out at an end of axes 1 and 2, use a wider grid"):
+        grid_filter(TURNING, [[NAN]], grid)
+
+
+@either_axis
+def test_a_motion_too_narrow_for_one_axis_is_an_error(axis):
+    """Catches halves of the nodes that are compared along one axis only, or the wrong axis named."""
+    q = [0.04, 1.0] if axis == 1 else [1.0, 0.04]
+    model = LinearGaussian(F=np.eye(2), H=[[1.0, 1.0]], Q=q, R=1.0, m0=[0.0, 0.0], P0=[2.0, 2.0])
+    grid = (np.linspace(-9, 9, 25), np.linspace(-9, 9, 25))
+    with pytest.raises(GridError, match=rf"the step to time 1 is narrower .* every second node of axis {axis} the"):
+        grid_filter(model, [[NAN], [0.5]], grid)
+    finer = pair(axis, np.linspace(-9, 9, 91), grid[0])
+    exact = kalman_filter(model, [[NAN], [0.5]])
+    assert_same(grid_filter(model, [[NAN], [0.5]], finer), exact, atol=1e-3)  # what the message asks for helps
+
+
+def test_a_motion_too_narrow_across_the_diagonal_is_an_error():
+    """Catches a ridge that neither axis sees alone: 0.06 wide across, on gaps of 0.5, and wide along both axes."""
+    Q = [[1.0, 0.998], [0.998, 1.0]]
+    model = LinearGaussian(F=np.eye(2), H=[[1.0, 1.0]], Q=Q, R=1.0, m0=[0.0, 0.0], P0=[1.0, 1.0])
+    grid = (np.linspace(-8, 8, 33), np.linspace(-8, 8, 33))
+    with pytest.raises(GridError, match=r"the step to time 1 is narrower .* every second node of axes 1 and 2 the"):
+        grid_filter(model, [[NAN], [0.5]], grid)
+
+
+@either_axis
+def test_a_density_between_the_nodes_of_one_axis_is_an_error(axis):
+    """Catches the wrong axis named where the prior itself is narrower than the gaps of one axis."""
+    p0 = [0.02, 1.0] if axis == 1 else [1.0, 0.02]
+    model = LinearGaussian(F=np.eye(2), H=[[1.0, 1.0]], Q=np.eye(2), R=1.0, m0=[0.2, 0.2], P0=p0)
+    grid = (np.linspace(-8, 8, 33), np.linspace(-8, 8, 33))
+    with pytest.raises(GridError, match=rf"step 0 .* it falls between nodes of axis {axis}, use a finer grid"):
+        grid_filter(model, [[NAN]], grid)
+
+
+@either_axis
+def test_a_measurement_too_sharp_for_one_axis_is_an_error(axis):
+    """Catches a posterior of one node on one axis that many nodes on the other hide."""
+    H = [[1.0, 0.0]] if axis == 1 else [[0.0, 1.0]]
+    model = LinearGaussian(F=np.eye(2), H=H, Q=np.eye(2), R=0.01, m0=[0.0, 0.0], P0=[2.0, 2.0])
+    grid = (np.linspace(-8, 8, 33), np.linspace(-8, 8, 33))
+    with pytest.raises(GridError, match=rf"step 0 the posterior rests on 1(\.\d)? nodes of axis {axis} with the other"):
+        grid_filter(model, [[0.5]], grid)
+
+
+def test_a_measurement_too_sharp_across_the_diagonal_is_an_error():
+    """Catches nodes counted along each axis for itself: each has nine, and the ridge still lies on single nodes."""
+    model = LinearGaussian(F=np.eye(2), H=[[1.0, -1.0]], Q=np.eye(2), R=0.01, m0=[0.0, 0.0], P0=[2.0, 2.0])
+    grid = (np.linspace(-8, 8, 33), np.linspace(-8, 8, 33))
+    with pytest.raises(GridError, match=r"step 0 the posterior rests on 1 nodes of axis \d with the other state known"):
+        grid_filter(model, [[0.0]], grid)
+
+
+def test_what_passes_the_checks_in_two_dimensions_is_accurate():
+    """Catches a check that lets a coarse axis through: what is accepted is right to a twentieth of a deviation.
+
+    Either axis is thinned out alone and both together, from 8 nodes to 30; some must pass and some must not.
+    """
+    y = TURNING.simulate(2, np.random.default_rng(4))[1]
+    exact, verdicts = kalman_filter(TURNING, y), []
+    for n_1, n_2 in (
+        [(n, 30) for n in range(8, 30, 3)] + [(30, n) for n in range(8, 30, 3)] + [(n, n) for n in (12, 18, 24)]
+    ):
+        try:
+            track = grid_filter(TURNING, y, (np.linspace(-9, 9, n_1), np.linspace(-8, 8, n_2)), tolerance=0.01)
+        except GridError:
+            verdicts.append("refused")
+        else:
+            verdicts.append("accepted")
+            assert (np.abs(track.mean - exact.mean) < 0.05 * exact.sd).all(), (n_1, n_2)
+    assert verdicts.count("accepted") >= 4 and verdicts.count("refused") >= 8
+
+
+def test_a_singular_noise_of_two_states_has_no_density():
+    """Catches a motion without noise in one state, which moves to a line and has no density over the plane."""
+    model = LinearGaussian(F=[[1, 1], [0, 1]], H=[[1, 0]], Q=[0.0, 0.1], R=1.0, m0=[0, 1], P0=[1, 1])
+    with pytest.raises(ValueError, match=r"Q is singular and has no density: \[\[0\.0, 0\.0\], \[0\.0, 0\.1\]\]"):
+        grid_filter(model, [[NAN], [1.0]], (np.linspace(-12, 12, 31), np.linspace(-12, 12, 31)))
+
+
+def test_three_states_are_an_error():
+    """Catches a computation that would take years instead of a word about what to use."""
+    model = LinearGaussian(F=np.eye(3), H=[[1.0, 0.0, 0.0]], Q=np.eye(3), R=1.0, m0=np.zeros(3), P0=np.eye(3))
+    message = r"one or two dimensions, the model has 3: .* 125000 nodes, 1\.6e\+10 pairs; use a particle filter"
+    with pytest.raises(ValueError, match=message):
+        grid_filter(model, [[1.0]], (EVEN, EVEN, EVEN))
+
+
+@pytest.mark.parametrize(
+    ("grid", "message"),
+    [
+        (EVEN, r"must be a pair \(nodes_1, nodes_2\) of vectors, got shape \(241,\)"),
+        (3.0, r"must be a pair .* got shape \(\)"),
+        ((EVEN,), r"must be a pair .* got shape \(1, 241\)"),
+        ((EVEN, EVEN, EVEN), r"must be a pair .* got shape \(3, 241\)"),
+        ((EVEN, EVEN, UNEVEN), r"must be a pair .* got 3 parts of different shapes"),
+        ((EVEN, EVEN[::-1]), r"axis 2 of the grid must be a vector of at least 3 ascending nodes, got shape \(241,\)"),
+        ((EVEN[:2], EVEN), r"axis 1 of the grid must be a vector of at least 3 ascending nodes, got shape \(2,\)"),
+        ((1.0, 2.0), r"axis 1 of the grid must be a vector of at least 3 ascending nodes, got shape \(\)"),
+        ((EVEN, (EVEN, UNEVEN)), "axis 2 of the grid must be a vector .* got 2 parts of different shapes"),
+    ],
+)
+def test_a_grid_that_is_no_pair_of_axes_is_an_error(grid, message):
+    """Catches a mistaken grid that ends in a broadcasting error, or in a filter of something else."""
+    with pytest.raises(ValueError, match=message):
+        grid_filter(TURNING, [[1.0]], grid)
+
+
+@pytest.mark.parametrize(
+    ("grid", "got"), [((EVEN, EVEN), r"shape \(2, 241\)"), ((EVEN, UNEVEN), "2 parts of different shapes")]
+)
+def test_a_pair_of_axes_for_one_state_is_an_error(grid, got):
+    """Catches a second axis that is dropped, and numpy's own words about ragged arrays."""
+    with pytest.raises(ValueError, match=f"the grid must be a vector of at least 3 ascending nodes, got {got}"):
+        grid_filter(random_walk(), [[1.0]], grid)
