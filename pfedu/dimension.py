@@ -423,7 +423,7 @@ def largest_weight(log_variance, n_particles):
     log_variance : array_like
         :math:`\tau^2`, variance of the log weight; ``n_x * proposal.log_weight_variance()``.
     n_particles : array_like of int
-        N.
+        Their number, N.
 
     Returns
     -------

@@ -42,8 +42,7 @@ from pfedu.weights import (
     as_circular,
     effective_sample_size,
     normalize,
-    weighted_cov,
-    weighted_mean,
+    weighted_moments,
     wrap,
 )
 
@@ -177,7 +176,7 @@ class ParticleFilter:
         Parameters
         ----------
         n_particles : int
-            N.
+            Their number, N.
         mean : array_like, shape (n_x,), optional
             A row or a column will do.
         cov : array_like, shape (), (n_x,) or (n_x, n_x), optional
@@ -260,7 +259,7 @@ class ParticleFilter:
         with _undone_on_error(self._rng_move):
             x = self.transition(self._turn(read_only(now.x)), self._rng_move, *args, **kwargs)
             self._now = now.moved(self._states(x, "transition gave"), now.log_w, k=now.k + 1)
-        return self.state, self.covariance
+        return self._estimate()
 
     def correct(self, y, *args, **kwargs):
         r"""Weigh the particles by a measurement, estimate, then resample if the policy says so.
@@ -315,7 +314,7 @@ class ParticleFilter:
                 now, x=x, log_w=log_w_next, x_weighed=now.x, log_w_weighed=log_w, corrections=count,
                 log_likelihood=now.log_likelihood + float(increment), resampled=bool(due),
             )  # fmt: skip
-        return self.state, self.covariance
+        return self._estimate()
 
     def clone(self):
         """Copy the filter, random numbers included; neither affects the other from then on.
@@ -490,18 +489,12 @@ class ParticleFilter:
     @property
     def state(self):
         """The estimate: (1, n_x), or (n_x, 1) by columns."""
-        now = self._initialized()
-        if self.estimate_method == "maxweight":
-            return self._turn(now.x_weighed[[np.argmax(now.log_w_weighed)]])
-        return self._turn(weighted_mean(now.x_weighed, now.log_w_weighed, now.circular)[None, :])
+        return self._estimate()[0]
 
     @property
     def covariance(self):
         """Covariance of the estimate: (n_x, n_x); None with ``"maxweight"``."""
-        now = self._initialized()
-        if self.estimate_method == "maxweight":
-            return None
-        return weighted_cov(now.x_weighed, now.log_w_weighed, now.circular)
+        return self._estimate()[1]
 
     @property
     def n_eff(self):
@@ -523,6 +516,14 @@ class ParticleFilter:
             raise RuntimeError("the filter has no particles yet: call initialize(n, mean, cov) or "
                                "initialize(n, bounds=...) first")  # fmt: skip
         return self._now
+
+    def _estimate(self):
+        """State and covariance of the latest weighing: what resampling makes of it is for the steps to come."""
+        now = self._initialized()
+        if self.estimate_method == "maxweight":
+            return self._turn(now.x_weighed[[np.argmax(now.log_w_weighed)]]), None
+        mean, cov = weighted_moments(now.x_weighed, now.log_w_weighed, now.circular)
+        return self._turn(mean[None, :]), cov
 
     def _turn(self, array):
         """From rows to the chosen orientation, and back."""

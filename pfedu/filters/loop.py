@@ -137,7 +137,8 @@ def particle_filter(algorithm, model, y, n_particles, *, rng, resampling, policy
     for k in range(y.shape[-2]):
         # Propose and weigh
         x, log_g = advance(algorithm, model, k, y[..., k, :], missing[..., k], x, log_w.shape, rng_move)
-        log_w, increment = reweight(log_w, log_g, k)
+        weighed, increment = reweight(log_w, log_g, k)
+        log_w = _where(missing[..., k], log_w, weighed)  # a missing measurement leaves them as they are, to the bit
         increment = np.where(missing[..., k], 0.0, increment)
         # Estimate, before resampling adds its noise
         n_eff = effective_sample_size(log_w)
