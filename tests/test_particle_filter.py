@@ -128,26 +128,18 @@ def test_the_same_bits_as_the_batch_filter(name, resampling, policy, orientation
 @pytest.mark.parametrize("policy", POLICIES.values(), ids=POLICIES)
 @pytest.mark.parametrize("name", ["linear_A", "growth_A"])
 def test_a_missing_measurement_is_a_predict_without_a_correct(name, policy, orientation):
-    """Catches a prediction that resamples or counts as a correction: rows missing at the start, inside, at the end.
-
-    Particles, and so the draws, are the same bits; over a missing row the batch filter normalises its weights once
-    more, which may round them: 60 weights, 31 steps.
-    """
+    """Catches a prediction that resamples or counts as a correction: rows missing at the start, inside, at the end."""
     model, y = MODELS[name], record(name).copy()
     y[[0, 4, 5, 12, 30]] = NAN
     track = pfedu.bootstrap_filter(model, y, 60, rng=generator(4), keep=True, policy=policy)
     pf = of_model(model, 60, 4, orientation, policy=policy)
-    atol = 60 * 31 * np.finfo(float).eps
     for k, particles in enumerate(drive(pf, y)):
         rows = particles.T if orientation == "column" else particles
         np.testing.assert_array_equal(rows, track.particles[k])
-        scale = np.abs(rows).max()
-        np.testing.assert_allclose(pf.state.ravel(), track.mean[k], rtol=0, atol=atol * scale)
-        np.testing.assert_allclose(pf.covariance, track.cov[k], rtol=0, atol=atol * scale**2)
-        assert pf.resampled == track.resampled[k] and pf.n_eff == pytest.approx(track.n_eff[k], rel=60 * atol)
-        if policy is always:  # weights are 1/N there, to which normalising does nothing
-            np.testing.assert_array_equal(pf.state.ravel(), track.mean[k])
-    assert pf.log_likelihood == pytest.approx(track.log_likelihood, abs=1e-10)
+        np.testing.assert_array_equal(pf.state.ravel(), track.mean[k])
+        np.testing.assert_array_equal(pf.covariance, track.cov[k])
+        assert pf.resampled == track.resampled[k] and pf.n_eff == track.n_eff[k]
+    assert pf.log_likelihood == pytest.approx(track.log_likelihood, rel=1e-14)  # a sum in another order
 
 
 def in_standard_errors(values, se=0.0):
