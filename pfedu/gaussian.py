@@ -146,7 +146,10 @@ class Gaussian:
         ndarray, shape (..., n)
         """
         z = rng.standard_normal((*shape, self.n))
-        return z * self.root[0, 0] if self.n == 1 else z @ self.root.T
+        if self.n > 1:
+            return z @ self.root.T
+        z *= self.root[0, 0]
+        return z
 
     def log_density(self, d):
         """Log density at deviation ``d`` from the mean.
@@ -168,7 +171,10 @@ class Gaussian:
             raise ValueError(f"{self.name} is singular and has no density: {self.cov.tolist()}")
         if self.n == 1:
             z = d[..., 0] * self._whiten[0, 0]
-            return self._log_norm - 0.5 * (z * z)
+            z *= z  # in place: at 100 000 particles, time goes into fresh memory
+            z *= -0.5
+            z += self._log_norm
+            return z
         z = d @ self._whiten.T
         return self._log_norm - 0.5 * np.sum(z * z, axis=-1)
 

@@ -65,7 +65,8 @@ def stratified(weights, rng, size=None):
     ends = size * _cumulative(w)  # (..., N), where each particle's stretch ends, counted in cells
     cell = np.minimum(ends.astype(np.intp), size - 1)
     below = cell + (np.take_along_axis(rng.random((*w.shape[:-1], size)), cell, axis=-1) < ends - cell)
-    return _copied(np.where(ends >= size, size, below), size)
+    below[ends >= size] = size
+    return _copied(below, size)
 
 
 def systematic(weights, rng, size=None):
@@ -81,9 +82,13 @@ def systematic(weights, rng, size=None):
     [0, 1, 1, 2]
     """
     w, size = _check(weights, size)
-    ends = size * _cumulative(w)  # (..., N), where each particle's stretch ends, counted in teeth
-    below = np.ceil(ends - rng.random((*w.shape[:-1], 1))).astype(np.intp)  # teeth at u, 1 + u, 2 + u, ...
-    return _copied(np.where(ends >= size, size, below), size)
+    ends = _cumulative(w)  # (..., N), where each particle's stretch ends
+    last = ends >= 1.0
+    ends *= size  # counted in teeth, which stand at u, 1 + u, 2 + u, ...
+    ends -= rng.random((*w.shape[:-1], 1))
+    below = np.ceil(ends, out=ends).astype(np.intp)
+    below[last] = size
+    return _copied(below, size)
 
 
 def residual(weights, rng, size=None):
@@ -100,6 +105,7 @@ def residual(weights, rng, size=None):
     [0, 0, 1, 2]
     """
     w, size = _check(weights, size)
+    w = w / w.sum(axis=-1, keepdims=True)
     copies = np.floor(size * w + 1e-9).astype(np.intp)  # (..., N), for certain; 3 * (1/3) is one copy
     left = size - copies.sum(axis=-1, keepdims=True)  # (..., 1), places still free
     fraction = np.maximum(size * w - copies, 0.0)
@@ -127,7 +133,7 @@ def _check(weights, size):
         raise ValueError(
             f"weights must sum to 1, got {_first(total, np.abs(total - 1.0) > 1e-5)}; divide them by their sum"
         )
-    return w / total[..., None], size
+    return w, size
 
 
 def _first(array, bad):
@@ -140,8 +146,9 @@ def _cumulative(w):
     Dividing by the last cumulative sum makes it exactly one, so no point falls off the end however
     the sum was rounded; a weight of zero is a stretch of length zero, which no point can fall into.
     """
-    c = np.cumsum(w, axis=-1)  # (..., N)
-    return c / c[..., -1:]
+    c = np.cumsum(w, axis=-1, dtype=float)  # (..., N)
+    c /= c[..., -1:].copy()
+    return c
 
 
 def _copied(below, size):
@@ -167,6 +174,8 @@ def _particles_at(points, w):
 
 def _count(indices, n):
     """How often each of 0..n-1 stands in the last axis: (..., size) -> (..., n)."""
+    if indices.ndim == 1:
+        return np.bincount(indices, minlength=n)
     run = np.arange(indices[..., 0].size).reshape(*indices.shape[:-1], 1)
     counts = np.bincount((indices + n * run).ravel(), minlength=n * run.size)
     return counts.reshape(*indices.shape[:-1], n)

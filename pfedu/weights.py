@@ -47,7 +47,8 @@ def normalize(log_w):
     """
     shifted, peak = _below_peak(log_w)
     log_sum = np.log(np.exp(shifted).sum(axis=-1, keepdims=True))
-    return shifted - log_sum, (peak + log_sum)[..., 0]
+    shifted -= log_sum
+    return shifted, (peak + log_sum)[..., 0]
 
 
 def _below_peak(log_w):
@@ -277,7 +278,10 @@ def weighted_moments(x, log_w, circular=None):
     d = x - mean  # (..., N, n_x)
     if circular.any():
         d = wrap(d, circular)
-    return mean[..., 0, :], np.swapaxes(d * w[..., None], -1, -2) @ d
+    dw = d * w[..., None]
+    if x.shape[-1] == 1:  # the same sum, without a product of matrices
+        return mean[..., 0, :], np.sum(np.multiply(dw, d, out=dw), axis=-2, keepdims=True)
+    return mean[..., 0, :], np.swapaxes(dw, -1, -2) @ d
 
 
 def _mean(x, w, circular):

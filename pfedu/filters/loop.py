@@ -210,7 +210,7 @@ def advance(algorithm, model, k, y, missing, x, shape, rng):
     if np.shape(log_g) != shape:
         raise ValueError(f"step {k}: log_likelihood must give one value a particle, shape {shape}, "
                          f"it gave {np.shape(log_g)}")  # fmt: skip
-    return new, np.where(missing[..., None], 0.0, log_g)
+    return new, np.where(missing[..., None], 0.0, log_g) if missing.any() else log_g
 
 
 def foresee(algorithm, k, y, missing, x, rng):
@@ -350,11 +350,11 @@ def resample(x, log_w, due, pick, rng, ahead=None):
         raise ValueError(
             f"resampling must give whole numbers of shape {log_w.shape}, it gave {picked.dtype} {picked.shape}"
         )
-    ancestors = np.where(due[..., None], picked, own)
+    ancestors = _where(due, picked, own)
     new = np.full(log_w.shape, -np.log(n))
     if ahead is not None:
         new += total[..., None] - np.take_along_axis(ahead, picked, axis=-1)
-    return _each(lambda part: _select(part, ancestors), x), np.where(due[..., None], new, log_w), ancestors
+    return _each(lambda part: _select(part, ancestors), x), _where(due, new, log_w), ancestors
 
 
 def _resampled(algorithm, x, log_w, due, pick, rng, ahead):
@@ -370,8 +370,9 @@ def _select(part, ancestors):
     axis, n = ancestors.ndim - 1, ancestors.shape[-1]
     if part.shape[axis] == 1 and n > 1:
         return part
-    first = n * np.arange(ancestors[..., 0].size).reshape(*ancestors.shape[:-1], 1)  # of each run, runs end to end
-    return part.reshape(-1, *part.shape[axis + 1 :]).take(ancestors + first, axis=0)
+    if axis > 0:  # runs end to end
+        ancestors = ancestors + n * np.arange(ancestors[..., 0].size).reshape(*ancestors.shape[:-1], 1)
+    return part.reshape(-1, *part.shape[axis + 1 :]).take(ancestors, axis=0)
 
 
 def _each(function, x):
@@ -381,6 +382,8 @@ def _each(function, x):
 
 def _where(runs, x, otherwise):
     """Choose x in some runs and the other in the rest, for an array or each array of a tuple."""
+    if runs.all() or not runs.any():
+        return x if runs.all() else otherwise
     if isinstance(x, tuple):
         return tuple(_where(runs, a, b) for a, b in zip(x, otherwise, strict=True))
     return np.where(runs.reshape(*runs.shape, *(1,) * (np.ndim(x) - runs.ndim)), x, otherwise)
