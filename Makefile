@@ -6,7 +6,7 @@ BIN := $(VENV)/$(if $(filter Windows_NT,$(OS)),Scripts,bin)
 BUILD = $(BIN)/jupyter-book build -W -n --keep-going
 
 .DEFAULT_GOAL := help
-.PHONY: help env browser book read test test-core test-browser self-hosted lab lint notebooks requirements clean
+.PHONY: help env browser book read test test-core test-browser self-hosted lab lint notebooks tables requirements clean
 
 help: ## list what can be made
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "make %-13s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
@@ -38,6 +38,9 @@ lint: env ## check the style of code and notebooks
 
 notebooks: env ## execute the notebooks in place, to commit their outputs
 	$(BIN)/python -m pfedu.live.execute $(wildcard book/*.ipynb)
+
+tables: env ## measure the reference numbers of the sources anew, beside those found by other programs (minutes)
+	OPENBLAS_NUM_THREADS=1 $(BIN)/python benchmarks/tables.py
 
 env: $(VENV)/made ## make the environment
 
