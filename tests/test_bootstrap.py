@@ -1,72 +1,29 @@
 """The loop of all particle filters, and the bootstrap filter on it.
 
-The exact answers come from the Kalman filter (linear record) and from the grid (growth record). What is
-compared follows from one theorem: with Z_k the exact likelihood of y_0..y_k and Zhat_k its estimate, the
-expectation of Zhat_k / Z_k times any weighted average equals the exact average, for every N, every unbiased
-resampling scheme and every policy that looks at the weights only (Del Moral 2004, theorem 7.4.2; Whiteley,
-Lee and Heine 2016 for adaptive policies). Hence over independent runs
-
-    Zhat_k / Z_k - 1,   (Zhat_k / Z_k) (m_k - exact mean),   (Zhat_k / Z_k) (second moment about it - exact var)
-
-all have mean zero without any allowance for bias, and the bound is a number of standard errors, each taken
-from the scatter of the runs themselves.
+What is compared with exact answers, and why without an allowance for bias, stands in ``exact.py``.
 """
-
-import functools
 
 import numpy as np
 import pytest
-from records import measurements, reference
+from exact import SEEDS, SEVERAL, in_standard_errors, mean_square_deviation, problem, worst
+from records import measurements
 
 import pfedu
 from pfedu.filters import loop
 from pfedu.gaussian import log_density
 from pfedu.grid import grid_filter
 from pfedu.kalman import kalman_filter
-from pfedu.models import LinearGaussian, StateSpaceModel, growth, random_walk
+from pfedu.models import LinearGaussian, StateSpaceModel, random_walk
 from pfedu.resampling import SCHEMES, always, interval, never, ratio
 from pfedu.weights import ZeroLikelihoodError, effective_sample_size, normalize, weighted_cov, weighted_mean
 
 NAN = np.nan
-SEEDS = 200  # independent runs behind every comparison with an exact answer
-SEVERAL = 5  # standard errors: with up to 150 comparisons a test, chance alone exceeds them once in 10 000 tests
 POLICIES = {"always": always, "ratio": ratio(0.25), "interval": interval(2)}
 every_scheme = pytest.mark.parametrize("resampling", SCHEMES)
 
 
 def run(model, y, n, seed=1, **options):
     return pfedu.bootstrap_filter(model, y, n, rng=np.random.default_rng(seed), **options)
-
-
-@functools.cache
-def problem(name, n_steps=50):
-    """Model, record and exact track (mean, cov, log-likelihood increments) up to a step."""
-    y = measurements(name)[: n_steps + 1]
-    if name == "linear_A":
-        model = random_walk()
-        return model, y, kalman_filter(model, y)
-    model, data = growth(), reference(name)[: n_steps + 1]
-    return model, y, pfedu.Track(data["post_mean"][:, None], data["post_var"][:, None, None], data["loglik_inc"])
-
-
-def in_standard_errors(values):
-    """Distance of the mean over runs (axis 0) from zero, in standard errors; 0 where all values are zero."""
-    se = values.std(axis=0, ddof=1) / np.sqrt(len(values))
-    return np.abs(values.mean(axis=0)) / np.where(se > 0, se, np.inf)
-
-
-def worst(track, exact):
-    """Largest distance of likelihood, mean and covariance from the exact ones, over steps and entries."""
-    ratio_z = np.exp(np.cumsum(track.log_likelihood_increments - exact.log_likelihood_increments, axis=-1))
-    d = track.mean - exact.mean  # (runs, ..., T+1, n_x)
-    second = track.cov + d[..., :, None] * d[..., None, :] - exact.cov
-    weighted = {"likelihood": ratio_z - 1, "mean": ratio_z[..., None] * d, "cov": ratio_z[..., None, None] * second}
-    return {name: in_standard_errors(values).max() for name, values in weighted.items()}
-
-
-def mean_square_deviation(track, exact):
-    """Mean square deviation from the exact mean of each run, the steps with a measurement averaged: (runs,)."""
-    return np.mean((track.mean - exact.mean)[:, 1:, 0] ** 2, axis=-1)
 
 
 @pytest.mark.parametrize("name", ["linear_A", "growth_A"])

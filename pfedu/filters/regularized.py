@@ -36,7 +36,8 @@ def regularized_filter(model, y, n_particles, *, rng, kernel="epanechnikov", ban
     kernel : str
         ``"epanechnikov"`` or ``"gaussian"``.
     bandwidth : float, optional
-        h, in standard deviations of the cloud; :func:`optimal_bandwidth` by default, 0 for none.
+        h, in standard deviations of the cloud; :func:`optimal_bandwidth` by default. 0 is no kernel: the bootstrap
+        filter, bit for bit.
     shrink : bool
         Whether to draw the cloud together first.
     y, n_particles, rng, resampling, policy, keep, n_runs
@@ -49,7 +50,7 @@ def regularized_filter(model, y, n_particles, *, rng, kernel="epanechnikov", ban
     Raises
     ------
     ValueError
-        If the kernel is unknown, the bandwidth negative, or too large to shrink by; and as in
+        If the kernel is unknown, the bandwidth negative, infinite, or too large to shrink by; and as in
         :func:`~pfedu.filters.bootstrap.bootstrap_filter`.
     ZeroLikelihoodError
         As in :func:`~pfedu.filters.bootstrap.bootstrap_filter`.
@@ -65,12 +66,14 @@ def regularized_filter(model, y, n_particles, *, rng, kernel="epanechnikov", ban
     >>> len(np.unique(smooth.particles[-1])), bool(len(np.unique(blind.particles[-1])) < 400)
     (500, True)
     """
-    if kernel not in KERNELS:
-        raise ValueError(f"kernel must be one of {', '.join(KERNELS)}, got {kernel!r}")
+    _require_kernel(kernel)
     h = optimal_bandwidth(n_particles, model.n_x, kernel) if bandwidth is None else float(bandwidth)
     spread = h * h * (1.0 if kernel == "gaussian" else 1.0 / (model.n_x + 4))  # variance that the kernel adds
-    if not h >= 0 or (shrink and spread >= 1):
-        raise ValueError(f"bandwidth must be at least 0, and the kernel narrower than the cloud to shrink it; got {h}")
+    if not 0 <= h < np.inf:
+        raise ValueError(f"bandwidth must be a number of at least 0, got {h}")
+    if shrink and spread >= 1:
+        raise ValueError(f"to shrink a cloud the kernel must be narrower than it: with bandwidth {h:.3g} its variance "
+                         f"is {spread:.3g} times that of the cloud; use a smaller one or more particles")  # fmt: skip
 
     def perturb(x, before, log_w, rng):
         mean, cov = weighted_moments(before, log_w)
@@ -85,8 +88,8 @@ def regularized_filter(model, y, n_particles, *, rng, kernel="epanechnikov", ban
         return x, model.log_likelihood(k, y, x)
 
     return particle_filter(
-        Algorithm(propose, perturb=perturb), model, y, n_particles, rng=rng, resampling=resampling, policy=policy,
-        keep=keep, n_runs=n_runs,
+        Algorithm(propose, perturb=perturb if h > 0 else None), model, y, n_particles, rng=rng,
+        resampling=resampling, policy=policy, keep=keep, n_runs=n_runs,
     )  # fmt: skip
 
 
@@ -104,7 +107,7 @@ def optimal_bandwidth(n_particles, n_x, kernel="epanechnikov"):
     Parameters
     ----------
     n_particles : int
-        N.
+        Their number, N.
     n_x : int
         Dimension of the state.
     kernel : str
@@ -115,12 +118,21 @@ def optimal_bandwidth(n_particles, n_x, kernel="epanechnikov"):
     float
         In standard deviations of the density.
 
+    Raises
+    ------
+    ValueError
+        If a number is not a whole one of at least 1, or the kernel unknown.
+
     Examples
     --------
     >>> from pfedu.filters.regularized import optimal_bandwidth
     >>> round(optimal_bandwidth(500, 3, "gaussian"), 4), round(optimal_bandwidth(500, 3), 4)
     (0.3986, 1.0253)
     """
+    _require_kernel(kernel)
+    for name, value in {"n_particles": n_particles, "n_x": n_x}.items():
+        if not (value >= 1 and value == int(value)):
+            raise ValueError(f"{name} must be a whole number of at least 1, got {value}")
     if kernel == "gaussian":
         constant = 4.0 / (n_x + 2)
     else:
@@ -148,6 +160,11 @@ def draw_kernel(kernel, shape, rng):
     -------
     ndarray, shape (..., n)
 
+    Raises
+    ------
+    ValueError
+        If the kernel is unknown.
+
     Examples
     --------
     >>> from pfedu.filters.regularized import draw_kernel
@@ -155,8 +172,14 @@ def draw_kernel(kernel, shape, rng):
     >>> bool((np.linalg.norm(draws, axis=-1) < 1).all()), bool(np.allclose(np.cov(draws.T), np.eye(2) / 6, atol=0.01))
     (True, True)
     """
+    _require_kernel(kernel)
     z = rng.standard_normal(shape)
     if kernel == "gaussian":
         return z
     radius = np.sqrt(rng.beta(shape[-1] / 2, 2.0, size=shape[:-1]))
     return z * (radius / np.linalg.norm(z, axis=-1))[..., None]
+
+
+def _require_kernel(kernel):
+    if kernel not in KERNELS:
+        raise ValueError(f"kernel must be one of {', '.join(KERNELS)}, got {kernel!r}")
