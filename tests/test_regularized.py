@@ -408,7 +408,7 @@ def test_the_variance_of_a_parameter_that_does_not_move():
 
     An independent implementation found variance ratios of 1.073 without shrinkage and 0.997 with it. Theory: at
     each resampling the variance is multiplied by 1 + h^2, and an inflated Kalman filter that resamples where the
-    run did agrees to 2 % (500 particles estimate a variance 1 to 2 % too small).
+    run did agrees to 2 % (500 particles estimate a variance 1 to 2 % too small) and three standard errors.
     """
     h2 = optimal_bandwidth(500, 1, "gaussian") ** 2
     for shrink, published in ((False, 1.073), (True, 0.997)):
@@ -417,7 +417,8 @@ def test_the_variance_of_a_parameter_that_does_not_move():
         assert abs(variance.mean() - published) < 4 * np.sqrt(2) * se and se < 0.01
         theory = [inflated(STILL, y, r, 0 if shrink else h2).cov[-1, 0, 0] * 51
                   for y, r in zip(still_record()[:100], track.resampled[:100], strict=True)]  # fmt: skip
-        assert abs(np.mean(variance[:100] / theory) - 1) < 0.02
+        ratio_to_theory = variance[:100] / theory
+        assert abs(ratio_to_theory.mean() - 1) < 0.02 + 3 * ratio_to_theory.std(ddof=1) / 10
     assert still(False)[1].mean() > 1.05 > 1.02 > still(True)[1].mean()
 
 

@@ -21,8 +21,12 @@ def auxiliary_filter(model, y, n_particles, *, rng, look_ahead="mean", resamplin
     .. math:: \hat p(y_k \mid Y_{k-1}) = \Big(\sum_i w_{k-1}^{(i)} \eta^{(i)}\Big)
         \Big(\frac{1}{N} \sum_j \frac{p(y_k \mid x_k^{(j)})}{\eta^{(a_j)}}\Big),
 
-    whose product over the steps is unbiased. Sources: Pitt and Shephard (1999); Crassidis, lecture 19
-    ("Auxiliary SIR filter"); Pitt et al. (2012), for the likelihood.
+    whose product over the steps is unbiased. That is no promise of a small variance. Where the process noise is large
+    against the measurement noise, :math:`\eta` has thinner tails than what it stands for, and a few particles that it
+    all but ruled out carry the weight when they are drawn, which is seldom: N_eff looks better than it is, and the
+    variance of the likelihood estimate can be infinite. And a particle whose point has likelihood zero is never
+    copied, wherever it might have gone. The exact look ahead has neither fault. Sources: Pitt and Shephard (1999);
+    Crassidis, lecture 19 ("Auxiliary SIR filter"); Pitt et al. (2012), for the likelihood.
 
     Parameters
     ----------

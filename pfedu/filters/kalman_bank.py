@@ -48,7 +48,10 @@ def kalman_bank_filter(model, y, n_particles, *, rng, kalman="ekf", use_twice=Fa
     ------
     MissingPieceError
         If the model has no functions f and h with Gaussian noise.
-    ValueError, ZeroLikelihoodError
+    ValueError
+        If ``kalman`` is none of these, or ``"ukf"`` where noise is not simply added; and as in
+        :func:`~pfedu.filters.bootstrap.bootstrap_filter`.
+    ZeroLikelihoodError
         As in :func:`~pfedu.filters.bootstrap.bootstrap_filter`.
 
     Examples
@@ -63,6 +66,8 @@ def kalman_bank_filter(model, y, n_particles, *, rng, kalman="ekf", use_twice=Fa
     require_gaussian(model, "a bank of Kalman filters")
     if kalman not in FILTERS:
         raise ValueError(f"kalman must be one of {', '.join(FILTERS)}, got {kalman!r}")
+    if kalman == "ukf" and not model.noise_is_additive:
+        raise ValueError(f"the noise of {type(model).__name__} is not simply added: use kalman='ekf'")
     predict, correct = linearised(model) if kalman == "ekf" else sampled(model, Unscented())
 
     def start(runs, n, rng):

@@ -111,6 +111,7 @@ def _defended(model, k, x, new, m, cov, share, rng):
         return new, log_density(new, m, cov)
     swap = rng.random(x.shape[:-1]) < share
     new = np.where(swap[..., None], model.propagate(k, x, rng), new)
-    with np.errstate(divide="ignore"):
+    # a share of one leaves log 0 to the proposal; a run whose measurement is missing has no proposal, but NaN
+    with np.errstate(divide="ignore", invalid="ignore"):
         log_parts = np.log1p(-share) + log_density(new, m, cov), np.log(share) + model.log_transition(k, new, x)
-    return new, np.logaddexp(*log_parts)
+        return new, np.logaddexp(*log_parts)

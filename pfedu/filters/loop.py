@@ -87,7 +87,8 @@ def particle_filter(algorithm, model, y, n_particles, *, rng, resampling, policy
         N, at least 1.
     rng : numpy.random.Generator
         Two generators are spawned off it, one that moves particles and one that picks them: the
-        noise that moves them does not depend on how or when they are resampled.
+        noise that moves them does not depend on how or when they are resampled. A filter that looks
+        ahead or perturbs draws for that from a third.
     resampling : str or callable
         A scheme of :mod:`pfedu.resampling`.
     policy : callable
@@ -129,6 +130,7 @@ def particle_filter(algorithm, model, y, n_particles, *, rng, resampling, policy
     y, missing, n_particles = _check(algorithm, model, y, n_particles, n_runs, policy)
     pick, runs = scheme(resampling), y.shape[:-2]
     rng_move, rng_pick = streams(rng, 2)
+    rng_own = streams(rng, 1)[0] if algorithm.look_ahead or algorithm.perturb else None
     x = (algorithm.start or _from_prior(model))(runs, n_particles, rng_move)
     log_w = np.full((*runs, n_particles), -np.log(n_particles))
     ancestors = np.broadcast_to(np.arange(n_particles), log_w.shape)
@@ -147,11 +149,11 @@ def particle_filter(algorithm, model, y, n_particles, *, rng, resampling, policy
         # Resample, by the weights and by what the next measurement says if the filter looks ahead
         count, news, ahead = count + ~missing[..., k], ~missing[..., k], None
         if algorithm.look_ahead and k + 1 < y.shape[-2]:
-            ahead = foresee(algorithm, k + 1, y[..., k + 1, :], missing[..., k + 1], x, rng_pick)
+            ahead = foresee(algorithm, k + 1, y[..., k + 1, :], missing[..., k + 1], x, rng_own)
             news = news | ~missing[..., k + 1]
             n_eff = effective_sample_size(reweight(log_w, ahead, k + 1)[0])
         due = policy(n_eff, n_particles, count) & news
-        x, log_w, ancestors = _resampled(algorithm, x, log_w, due, pick, rng_pick, ahead)
+        x, log_w, ancestors = _resampled(algorithm, x, log_w, due, pick, (rng_pick, rng_own), ahead)
         steps.append((*step, due, *kept))
     return _track(steps, len(runs))
 
@@ -357,11 +359,12 @@ def resample(x, log_w, due, pick, rng, ahead=None):
     return _each(lambda part: _select(part, ancestors), x), _where(due, new, log_w), ancestors
 
 
-def _resampled(algorithm, x, log_w, due, pick, rng, ahead):
+def _resampled(algorithm, x, log_w, due, pick, rngs, ahead):
     """Resample, then let the filter perturb the copies where there are any."""
-    new, new_log_w, ancestors = resample(x, log_w, due, pick, rng, ahead)
+    rng_pick, rng_own = rngs
+    new, new_log_w, ancestors = resample(x, log_w, due, pick, rng_pick, ahead)
     if algorithm.perturb and due.any():
-        new = _where(due, algorithm.perturb(new, x, log_w, rng), new)
+        new = _where(due, algorithm.perturb(new, x, log_w, rng_own), new)
     return new, new_log_w, ancestors
 
 

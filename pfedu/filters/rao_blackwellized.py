@@ -119,11 +119,22 @@ def _draw_part(mean, cov, n, rng):
         z \mid u \sim N(\mu_z + G (u - \mu_u), \Sigma_{zz} - G \Sigma_{uz})
     """
     cov = np.broadcast_to(cov, (*mean.shape[:-2], *((1,) if cov.ndim == 2 else cov.shape[-3:-2]), *cov.shape[-2:]))
-    uu, uz, zz = cov[..., :n, :n], cov[..., :n, n:], cov[..., n:, n:]
+    uu, uz = cov[..., :n, :n], cov[..., :n, n:]
     d = (sqrt_cov(uu, "the covariance of u") @ rng.standard_normal((*mean.shape[:-1], n, 1)))[..., 0]
-    # the pseudo-inverse: a component of u without noise tells nothing about z
-    G = np.swapaxes(np.linalg.pinv(uu, hermitian=True) @ uz, -1, -2)
-    return mean[..., :n] + d, mean[..., n:] + (G @ d[..., None])[..., 0], zz - G @ uz
+    G = _regression(uu, uz)
+    # what is left of z: as the square of a root, which rounding cannot make negative as it can a difference
+    root = sqrt_cov(cov, "the covariance of (u, z)")
+    left = root[..., n:, :] - G @ root[..., :n, :]
+    return mean[..., :n] + d, mean[..., n:] + (G @ d[..., None])[..., 0], left @ np.swapaxes(left, -1, -2)
+
+
+def _regression(uu, uz):
+    """The factor G by which z follows u; a component of u without noise tells nothing and is left out."""
+    sd = np.sqrt(np.diagonal(uu, axis1=-2, axis2=-1))
+    sd = np.where(sd > 0, sd, 1.0)[..., None]
+    # of correlations: units do not matter
+    correlations = uu / (sd * np.swapaxes(sd, -1, -2))
+    return np.swapaxes(np.linalg.pinv(correlations, 1e-12, hermitian=True) @ (uz / sd) / sd, -1, -2)
 
 
 def _jumping(model):

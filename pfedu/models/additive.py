@@ -108,7 +108,7 @@ class AdditiveProcess(StateSpaceModel):
         """Derivative of the step by its noise, where the noise is zero: (..., n_x, n_x)."""
         if self.noise_is_additive:
             return _as_many(np.eye(self.n_x), x)
-        return jacobian(lambda w: self.step(k, x, w), np.zeros(x.shape), np.sqrt(np.diag(self.Q)))
+        return jacobian(lambda w: self.step(k, x[..., None, :], w), np.zeros(x.shape), np.sqrt(np.diag(self.Q)))
 
 
 class AdditiveGaussian(AdditiveProcess):

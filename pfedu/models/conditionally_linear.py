@@ -49,17 +49,17 @@ class ConditionallyLinear(AdditiveGaussian):
 
     def __init__(self, n_u, f, A, h, C, Q, R, m0, P0):
         n_x, n_y = np.size(m0), np.atleast_1d(R).shape[0]
-        if not 1 <= n_u < n_x:
-            raise ValueError(f"n_u must be at least 1 and below the {n_x} states of m0, got {n_u}")
-        self.n_u, self.n_z = n_u, n_x - n_u
-        self.f_u, self.h_u = f, h
+        if not 1 <= n_u < n_x or n_u != int(n_u):
+            raise ValueError(f"n_u must be a whole number of at least 1 and below the {n_x} states of m0, got {n_u}")
+        self.n_u, self.n_z = int(n_u), n_x - int(n_u)
+        self.f_u, self.h_u = _sized("f", f, (n_x,)), _sized("h", h, (n_y,))
         self.A, self.C = self._part("A", A, n_x), self._part("C", C, n_y)
-        super().__init__(lambda k, x: self._whole(f, self.A, k, x), lambda k, x: self._whole(h, self.C, k, x),
-                         Q, R, m0, P0)  # fmt: skip
+        super().__init__(lambda k, x: self._whole(self.f_u, self.A, k, x),
+                         lambda k, x: self._whole(self.h_u, self.C, k, x), Q, R, m0, P0)  # fmt: skip
 
     def _part(self, name, A, n):
         if callable(A):
-            return A
+            return _sized(name, A, (n, self.n_z))
         A = np.atleast_2d(np.array(A, dtype=float))
         if A.shape != (n, self.n_z):
             raise ValueError(f"{name} must be {(n, self.n_z)} to fit m0, n_u and R, got {A.shape}")
@@ -70,8 +70,21 @@ class ConditionallyLinear(AdditiveGaussian):
         return function(k, u) + (A(k, u) @ z[..., None])[..., 0]
 
 
-def positioning(q_v=0.1, q_d=1e-4, r=25.0, dt=1.0, beacons=((0.0, 0.0), (1000.0, 0.0), (0.0, 1000.0)),
-                m0=(300.0, 300.0, 10.0, 5.0, 0.0, 0.0), P0=(1e4, 1e4, 25.0, 25.0, 100.0, 0.01)):  # fmt: skip
+def _sized(name, function, shape):
+    """The function, with its last axes checked at each call: a part of the wrong size would broadcast."""
+
+    def sized(k, u):
+        out = function(k, u)
+        if np.shape(out)[-len(shape) :] != shape:
+            wanted = ", ".join(map(str, shape))
+            raise ValueError(f"{name}(k, u) must give shape (..., {wanted}) for u {u.shape}, got {np.shape(out)}")
+        return out
+
+    return sized
+
+
+def positioning(q_v=1.0, q_d=1e-4, r=25.0, dt=1.0, beacons=((0.0, 0.0), (1000.0, 0.0), (0.0, 1000.0)),
+                m0=(300.0, 300.0, 10.0, 5.0, 0.0, 0.0), P0=(100.0, 100.0, 4.0, 4.0, 100.0, 0.01)):  # fmt: skip
     r"""A vehicle in the plane finds its place from pseudo-ranges, with a clock that is wrong and drifts.
 
     State: position (2), velocity (2), bias of the clock and its drift, both times the speed of light.

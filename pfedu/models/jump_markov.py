@@ -33,7 +33,7 @@ class JumpMarkov(StateSpaceModel):
     Raises
     ------
     ValueError
-        If shapes do not fit together, or probabilities do not sum to one.
+        If shapes do not fit together, a number is not finite, or probabilities do not sum to one.
 
     Examples
     --------
@@ -44,6 +44,9 @@ class JumpMarkov(StateSpaceModel):
     """
 
     def __init__(self, A, C, Q, R, Pi, m0, P0, p0=None):
+        for name, each in {"A": A, "C": C, "Q": Q, "R": R}.items():
+            if np.ndim(each) != 3:
+                raise ValueError(f"{name} must hold one matrix for each mode, three axes in all; got {np.shape(each)}")
         self.A, self.C, self.Pi = (np.array(a, dtype=float) for a in (A, C, Pi))
         self.n_modes, self.n_z = self.A.shape[0], self.A.shape[-1]
         self.p0 = np.full(self.n_modes, 1 / self.n_modes) if p0 is None else np.array(p0, dtype=float)
@@ -62,6 +65,8 @@ class JumpMarkov(StateSpaceModel):
         for name, shape in wanted.items():
             if getattr(self, name).shape != shape:
                 raise ValueError(f"{name} must have shape {shape} to fit A, got {getattr(self, name).shape}")
+            if not np.isfinite(getattr(self, name)).all():
+                raise ValueError(f"{name} must be finite, got {getattr(self, name).tolist()}")
         for name in ("Pi", "p0"):
             p = getattr(self, name)
             if (p < 0).any() or (np.abs(p.sum(axis=-1) - 1) > 1e-9).any():
@@ -93,9 +98,7 @@ class JumpMarkov(StateSpaceModel):
     def log_likelihood(self, k, y, x):
         """Log density of the measurement y_k given the states: (...)."""
         i = modes(x)
-        d = y - _times(self.C[i], x[..., 1:])
-        log_p = np.stack([v.log_density(d) for v in self.v], axis=-1)  # (..., M)
-        return np.take_along_axis(log_p, i[..., None], axis=-1)[..., 0]
+        return _density(self.v, i, y - _times(self.C[i], x[..., 1:]))
 
     def log_initial(self, x):
         """Log density (of z) times probability (of the mode) at time 0: (...)."""
@@ -106,9 +109,8 @@ class JumpMarkov(StateSpaceModel):
         """Log of the probability of the jump times the density of the move: (...)."""
         i, j = modes(x), modes(x_new)
         d = x_new[..., 1:] - _times(self.A[j], x[..., 1:])
-        log_p = np.stack(np.broadcast_arrays(*(w.log_density(d) for w in self.w)), axis=-1)
         with np.errstate(divide="ignore"):
-            return np.log(self.Pi)[i, j] + np.take_along_axis(log_p, j[..., None], axis=-1)[..., 0]
+            return np.log(self.Pi)[i, j] + _density(self.w, j, d)
 
 
 def modes(x):
@@ -133,6 +135,13 @@ def modes(x):
 
 def _times(A, x):
     return (A @ x[..., None])[..., 0]
+
+
+def _density(noises, i, d):
+    """Log density of each deviation d (..., n) by the noise of its own mode i: (...)."""
+    log_p = np.stack([noise.log_density(d) for noise in noises], axis=-1)  # (..., M)
+    i = np.broadcast_to(i, log_p.shape[:-1])  # d may be of all pairs
+    return np.take_along_axis(log_p, i[..., None], axis=-1)[..., 0]
 
 
 def jump_markov(d=2, a=0.9, q=0.5, r=0.5, stay=0.9):
