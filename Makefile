@@ -21,7 +21,7 @@ read: book ## build the book, serve it on 127.0.0.1 and open the browser
 test: test-core test-browser ## everything: code, notebooks, book, and the book in a real browser
 
 test-core: lint ## code and notebooks
-	$(BIN)/python -m pytest -m "not browser"
+	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -m "not browser" -n 2 --dist loadfile
 
 test-browser: book self-hosted ## the built book in Chromium; says so where there is none
 	$(BIN)/python -m pytest -m browser tests/test_browser.py
