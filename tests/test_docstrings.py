@@ -78,9 +78,12 @@ def is_error(thing):
 
 def test_the_walk_finds_the_package():
     """Catches a walk over nothing, after which all the tests below would pass."""
-    assert {"weights.normalize", "resampling.systematic", "models.scalar.growth", "filters.loop.particle_filter"} <= set(
-        PUBLIC
-    )
+    assert {
+        "weights.normalize",
+        "resampling.systematic",
+        "models.scalar.growth",
+        "filters.loop.particle_filter",
+    } <= set(PUBLIC)
     assert len(PUBLIC) > 30
 
 
