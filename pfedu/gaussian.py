@@ -170,11 +170,9 @@ class Gaussian:
         if self.is_singular:
             raise ValueError(f"{self.name} is singular and has no density: {self.cov.tolist()}")
         if self.n == 1:
-            z = d[..., 0] * self._whiten[0, 0]
+            z = d[..., 0] * (self._whiten[0, 0] * np.sqrt(0.5))
             z *= z  # in place: at 100 000 particles, time goes into fresh memory
-            z *= -0.5
-            z += self._log_norm
-            return z
+            return np.subtract(self._log_norm, z, out=z)
         z = d @ self._whiten.T
         return self._log_norm - 0.5 * np.sum(z * z, axis=-1)
 

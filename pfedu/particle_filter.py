@@ -40,7 +40,7 @@ from pfedu.resampling import ratio, scheme
 from pfedu.weights import (
     ZeroLikelihoodError,
     as_circular,
-    effective_sample_size,
+    effective_number,
     normalize,
     weighted_moments,
     wrap,
@@ -308,7 +308,7 @@ class ParticleFilter:
             log_w, increment = self._reweight(now, log_g)
             # The estimate is that of these weights; resample for the steps to come
             count = now.corrections + 1
-            due = np.asarray(bool(self.policy(effective_sample_size(log_w), log_w.size, count)))
+            due = np.asarray(bool(self.policy(effective_number(np.exp(log_w)), log_w.size, count)))
             x, log_w_next, _ = resample(now.x, log_w, due, scheme(self.resampling), self._rng_pick)
             self._now = replace(
                 now, x=x, log_w=log_w_next, x_weighed=now.x, log_w_weighed=log_w, corrections=count,
@@ -499,7 +499,7 @@ class ParticleFilter:
     @property
     def n_eff(self):
         """Effective number of particles of the estimate, before resampling."""
-        return float(effective_sample_size(self._initialized().log_w_weighed))
+        return float(effective_number(np.exp(self._initialized().log_w_weighed)))
 
     @property
     def resampled(self):

@@ -127,7 +127,7 @@ def _check(weights, size):
     total = w.sum(axis=-1, dtype=float)
     if not np.isfinite(total).all():
         raise ValueError(f"weights must be finite, got {_first(w, ~np.isfinite(w))}")
-    if (w < 0).any():
+    if w.min() < 0:
         raise ValueError(f"weights must not be negative, got {_first(w, w < 0)}")
     if (np.abs(total - 1.0) > 1e-5).any():
         raise ValueError(

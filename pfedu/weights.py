@@ -45,23 +45,18 @@ def normalize(log_w):
     >>> np.exp(log_w).tolist(), round(float(log_sum), 4)
     ([0.5, 0.5], -999.3069)
     """
-    shifted, peak = _below_peak(log_w)
-    log_sum = np.log(np.exp(shifted).sum(axis=-1, keepdims=True))
-    shifted -= log_sum
-    return shifted, (peak + log_sum)[..., 0]
-
-
-def _below_peak(log_w):
-    """Log weights relative to the largest of their run, and that one: (..., N) and (..., 1)."""
     log_w = np.asarray(log_w, dtype=float)
     if log_w.ndim == 0 or log_w.shape[-1] == 0:
         raise ValueError(f"log weights need shape (..., N) with N >= 1, got shape {log_w.shape}")
-    peak = log_w.max(axis=-1, keepdims=True)
+    peak = log_w.max(axis=-1, keepdims=True)  # (..., 1)
     if not (peak < np.inf).all():  # false for NaN too
         raise ValueError(_bad_log_weight(log_w))
     if (peak == -np.inf).any():
         raise ZeroLikelihoodError("all weights are zero (every log weight is -inf)")
-    return log_w - peak, peak
+    shifted = log_w - peak
+    log_sum = np.log(np.exp(shifted).sum(axis=-1, keepdims=True))
+    shifted -= log_sum
+    return shifted, (peak + log_sum)[..., 0]
 
 
 def _bad_log_weight(log_w):
@@ -96,9 +91,31 @@ def effective_sample_size(log_w):
     >>> float(effective_sample_size(np.log([0.5, 0.5, 1e-300])))
     2.0
     """
-    w = np.exp(_below_peak(log_w)[0])
-    total = w.sum(axis=-1)
-    return np.minimum(total * total / np.sum(w * w, axis=-1), w.shape[-1])  # not above N by rounding
+    return effective_number(np.exp(normalize(log_w)[0]))
+
+
+def effective_number(w):
+    r"""Effective number of particles of weights that are normalised and no logarithms, :math:`1 / \sum_i w_i^2`.
+
+    For those who have the weights at hand; :func:`effective_sample_size` takes log weights and normalises them.
+
+    Parameters
+    ----------
+    w : ndarray, shape (..., N)
+        Normalised weights.
+
+    Returns
+    -------
+    ndarray, shape (...)
+        Between 1 and N.
+
+    Examples
+    --------
+    >>> from pfedu.weights import effective_number
+    >>> float(effective_number(np.array([0.5, 0.5])))
+    2.0
+    """
+    return np.minimum(1.0 / np.einsum("...i,...i->...", w, w), w.shape[-1])  # not above N by rounding
 
 
 def as_circular(circular, n_x):
@@ -272,16 +289,40 @@ def weighted_moments(x, log_w, circular=None):
     >>> mean.tolist(), cov.tolist()
     ([5.0], [[25.0]])
     """
-    x, w = _particles_and_weights(x, log_w)
+    return moments(*_particles_and_weights(x, log_w), circular)
+
+
+def moments(x, w, circular=None):
+    """Mean and covariance with weights that are normalised and no logarithms, for those who have them at hand.
+
+    Parameters
+    ----------
+    x : ndarray, shape (..., N, n_x)
+        Particles, finite; circular states in radians.
+    w : ndarray, shape (..., N)
+        Normalised weights.
+    circular : array_like of bool, shape (n_x,), optional
+        Which states are angles; none by default.
+
+    Returns
+    -------
+    mean : ndarray, shape (..., n_x)
+    cov : ndarray, shape (..., n_x, n_x)
+
+    Examples
+    --------
+    >>> from pfedu.weights import moments
+    >>> moments(np.array([[0.0], [10.0]]), np.array([0.5, 0.5]))[0].tolist()
+    [5.0]
+    """
     circular = as_circular(circular, x.shape[-1])
     mean = _mean(x, w, circular)
     d = x - mean  # (..., N, n_x)
     if circular.any():
         d = wrap(d, circular)
-    dw = d * w[..., None]
-    if x.shape[-1] == 1:  # the same sum, without a product of matrices
-        return mean[..., 0, :], np.sum(np.multiply(dw, d, out=dw), axis=-2, keepdims=True)
-    return mean[..., 0, :], np.swapaxes(dw, -1, -2) @ d
+    if x.shape[-1] == 1:  # the same sum, in half the time
+        return mean[..., 0, :], w[..., None, :] @ (d * d)
+    return mean[..., 0, :], np.swapaxes(d * w[..., None], -1, -2) @ d
 
 
 def _mean(x, w, circular):
@@ -297,6 +338,27 @@ def _particles_and_weights(x, log_w):
     if x.ndim < 2 or x.shape[:-1] != log_w.shape:
         raise ValueError(f"particles (..., N, n_x) and log weights (..., N) do not fit: {x.shape} and {log_w.shape}")
     w = np.exp(log_w)
-    if not np.isfinite(x).all():  # a state that ran away and was given weight zero counts for nothing
-        x = np.where(w[..., None] > 0, x, 0.0)
-    return x, w
+    return without_runaways(x, w), w
+
+
+def without_runaways(x, w):
+    """Particles among which those of weight zero may be anywhere: what ran away counts for nothing.
+
+    Parameters
+    ----------
+    x : ndarray, shape (..., N, n_x)
+    w : ndarray, shape (..., N)
+        Weights.
+
+    Returns
+    -------
+    ndarray, shape (..., N, n_x)
+        The same, with zeros for particles of weight zero if any is not finite.
+
+    Examples
+    --------
+    >>> from pfedu.weights import without_runaways
+    >>> without_runaways(np.array([[1.0], [np.inf]]), np.array([1.0, 0.0])).tolist()
+    [[1.0], [0.0]]
+    """
+    return x if np.isfinite(x).all() else np.where(w[..., None] > 0, x, 0.0)

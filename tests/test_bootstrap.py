@@ -78,9 +78,9 @@ def test_the_error_falls_as_one_over_root_n(name):
 loop_resample = loop.resample
 
 
-def forgetful(x, log_w, due, pick, rng, ahead=None):
+def forgetful(x, log_w, due, pick, rng, ahead=None, w=None):
     """The fault of half the field's teaching code: weights are 1/N after a step, resampled or not."""
-    x, log_w, ancestors = loop_resample(x, log_w, due, pick, rng, ahead)
+    x, log_w, ancestors = loop_resample(x, log_w, due, pick, rng, ahead, w)
     return x, np.full_like(log_w, -np.log(log_w.shape[-1])), ancestors
 
 

@@ -12,7 +12,14 @@ import numpy as np
 from pfedu.models import read_only, require, streams
 from pfedu.resampling import scheme
 from pfedu.track import Track, read_record
-from pfedu.weights import ZeroLikelihoodError, effective_sample_size, normalize, weighted_moments
+from pfedu.weights import (
+    ZeroLikelihoodError,
+    effective_number,
+    effective_sample_size,
+    moments,
+    normalize,
+    without_runaways,
+)
 
 
 @dataclass(frozen=True)
@@ -67,9 +74,9 @@ class Algorithm:
             return self.state(x)
         return x[0] if isinstance(x, tuple) else x
 
-    def estimate(self, x, log_w):
-        """Mean and covariance of what the particles say."""
-        return self.moments(x, log_w) if self.moments else weighted_moments(self.states(x), log_w)
+    def estimate(self, x, log_w, w):
+        """Mean and covariance of what the particles say; ``w`` are the exponentials of ``log_w``."""
+        return self.moments(x, log_w) if self.moments else moments(without_runaways(self.states(x), w), w)
 
 
 def particle_filter(algorithm, model, y, n_particles, *, rng, resampling, policy, keep=False, n_runs=None):
@@ -131,9 +138,11 @@ def particle_filter(algorithm, model, y, n_particles, *, rng, resampling, policy
     pick, runs = scheme(resampling), y.shape[:-2]
     rng_move, rng_pick = streams(rng, 2)
     rng_own = streams(rng, 1)[0] if algorithm.look_ahead or algorithm.perturb else None
+    # glibc, having once seen so much go, keeps the pieces that each step lets go; it would return them to the system
+    np.empty(30_000_000, dtype=np.uint8)
     x = (algorithm.start or _from_prior(model))(runs, n_particles, rng_move)
     log_w = np.full((*runs, n_particles), -np.log(n_particles))
-    ancestors = np.broadcast_to(np.arange(n_particles), log_w.shape)
+    ancestors = _themselves(log_w.shape)
     count = np.zeros(runs, dtype=int)  # corrections so far
     steps = []
     for k in range(y.shape[-2]):
@@ -143,8 +152,9 @@ def particle_filter(algorithm, model, y, n_particles, *, rng, resampling, policy
         log_w = _where(missing[..., k], log_w, weighed)  # a missing measurement leaves them as they are, to the bit
         increment = np.where(missing[..., k], 0.0, increment)
         # Estimate, before resampling adds its noise
-        n_eff = effective_sample_size(log_w)
-        step = (*algorithm.estimate(x, log_w), increment, n_eff)
+        w = np.exp(log_w)
+        n_eff = effective_number(w)
+        step = (*algorithm.estimate(x, log_w, w), increment, n_eff)
         kept = (algorithm.states(x), log_w, ancestors) if keep else (None, None, None)
         # Resample, by the weights and by what the next measurement says if the filter looks ahead
         count, news, ahead = count + ~missing[..., k], ~missing[..., k], None
@@ -153,7 +163,7 @@ def particle_filter(algorithm, model, y, n_particles, *, rng, resampling, policy
             news = news | ~missing[..., k + 1]
             n_eff = effective_sample_size(reweight(log_w, ahead, k + 1)[0])
         due = policy(n_eff, n_particles, count) & news
-        x, log_w, ancestors = _resampled(algorithm, x, log_w, due, pick, (rng_pick, rng_own), ahead)
+        x, log_w, ancestors = _resampled(algorithm, x, log_w, due, pick, (rng_pick, rng_own), ahead, w)
         steps.append((*step, due, *kept))
     return _track(steps, len(runs))
 
@@ -297,7 +307,7 @@ def reweight(log_w, log_g, k):
         raise ValueError(f"step {k}: log_likelihood gave a value that is no weight ({error})") from error
 
 
-def resample(x, log_w, due, pick, rng, ahead=None):
+def resample(x, log_w, due, pick, rng, ahead=None, w=None):
     r"""Resample the runs that are due; the others keep particles and weights.
 
     .. math:: P(a = i) = \frac{w^{(i)} \eta^{(i)}}{\sum_j w^{(j)} \eta^{(j)}}, \qquad
@@ -318,6 +328,8 @@ def resample(x, log_w, due, pick, rng, ahead=None):
     rng : numpy.random.Generator
     ahead : ndarray, shape (..., N), optional
         Logarithms of :math:`\eta`.
+    w : ndarray, shape (..., N), optional
+        The exponentials of ``log_w``, where they are at hand.
 
     Returns
     -------
@@ -343,26 +355,32 @@ def resample(x, log_w, due, pick, rng, ahead=None):
     ([2.0, 2.0], [0.5, 0.5], [1, 1])
     """
     n = log_w.shape[-1]
-    own = np.broadcast_to(np.arange(n), log_w.shape)
     if not due.any():
-        return x, log_w, own
-    log_pick, total = (log_w, 0.0) if ahead is None else normalize(log_w + ahead)
-    picked = np.asarray(pick(np.exp(log_pick), rng))
+        return x, log_w, _themselves(log_w.shape)
+    if ahead is not None:
+        log_pick, total = normalize(log_w + ahead)
+        w = np.exp(log_pick)
+    picked = np.asarray(pick(np.exp(log_w) if w is None else w, rng))
     if picked.shape != log_w.shape or picked.dtype.kind not in "iu":
         raise ValueError(
             f"resampling must give whole numbers of shape {log_w.shape}, it gave {picked.dtype} {picked.shape}"
         )
-    ancestors = _where(due, picked, own)
+    ancestors = picked if due.all() else _where(due, picked, _themselves(log_w.shape))
     new = np.full(log_w.shape, -np.log(n))
     if ahead is not None:
         new += total[..., None] - np.take_along_axis(ahead, picked, axis=-1)
     return _each(lambda part: _select(part, ancestors), x), _where(due, new, log_w), ancestors
 
 
-def _resampled(algorithm, x, log_w, due, pick, rngs, ahead):
+def _themselves(shape):
+    """Ancestors of particles that were not resampled."""
+    return np.broadcast_to(np.arange(shape[-1]), shape)
+
+
+def _resampled(algorithm, x, log_w, due, pick, rngs, ahead, w):
     """Resample, then let the filter perturb the copies where there are any."""
     rng_pick, rng_own = rngs
-    new, new_log_w, ancestors = resample(x, log_w, due, pick, rng_pick, ahead)
+    new, new_log_w, ancestors = resample(x, log_w, due, pick, rng_pick, ahead, w)
     if algorithm.perturb and due.any():
         new = _where(due, algorithm.perturb(new, x, log_w, rng_own), new)
     return new, new_log_w, ancestors
