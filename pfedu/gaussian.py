@@ -172,7 +172,7 @@ class Gaussian:
         if self.n == 1:
             z = d[..., 0] * (self._whiten[0, 0] * np.sqrt(0.5))
             z *= z  # in place: at 100 000 particles, time goes into fresh memory
-            return np.subtract(self._log_norm, z, out=z)
+            return self._log_norm - z
         z = d @ self._whiten.T
         return self._log_norm - 0.5 * np.sum(z * z, axis=-1)
 

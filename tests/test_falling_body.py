@@ -506,7 +506,7 @@ def test_one_state_that_ran_away_kills_no_run(monkeypatch):
 def test_a_kernel_in_every_step_doubles_the_error():
     """States why it is drawn after resampling only: drawn 60 times, the coefficient's error at 60 s is twice as large.
 
-    With shrinkage it does no such harm.
+    With shrinkage it does no such harm (medians: one run in a thousand is caught on the mirror branch, shrunk or not).
     """
     x, y = records(250)
     error = [np.abs(pfedu.regularized_filter(falling_body(), y, 500, rng=np.random.default_rng(2), kernel="gaussian",
@@ -514,4 +514,4 @@ def test_a_kernel_in_every_step_doubles_the_error():
              for shrink in (False, True)]  # fmt: skip
     (wide, se), (seldom, se_seldom) = mean_and_error(error[0]), mean_and_error(experiment(1000)[1][:, 60, 2])
     assert abs(wide / seldom - 2) < 4 * wide / seldom * np.hypot(se / wide, se_seldom / seldom)
-    assert error[1].mean() < 1.2 * seldom
+    assert np.median(error[1]) < 1.2 * np.median(experiment(1000)[1][:, 60, 2])

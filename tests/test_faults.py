@@ -66,9 +66,9 @@ def test_the_mean_taken_after_resampling(resampling):
 # Weights not reset
 
 
-def keep_weights(x, log_w, due, pick, rng, ahead=None):
+def keep_weights(x, log_w, due, pick, rng, *more):
     """Copy particles by their weights, and let each copy keep the weight as well."""
-    x, _, ancestors = resample(x, log_w, due, pick, rng, ahead)
+    x, _, ancestors = resample(x, log_w, due, pick, rng, *more)
     return x, normalize(np.take_along_axis(log_w, ancestors, axis=-1))[0], ancestors
 
 
@@ -213,8 +213,8 @@ def test_the_auxiliary_filter_without_second_stage_weights(q, monkeypatch):
     recursion of the prediction of the Kalman filter, which settles at 1 + P-/r times the posterior: 11.9 for q = 10.
     """
 
-    def one_stage(x, log_w, due, pick, rng, ahead=None):
-        x, log_w, ancestors = resample(x, log_w, due, pick, rng, ahead)
+    def one_stage(x, log_w, due, pick, rng, *more):
+        x, log_w, ancestors = resample(x, log_w, due, pick, rng, *more)
         return x, np.full_like(log_w, -np.log(log_w.shape[-1])), ancestors
 
     model = random_walk(q=q)
