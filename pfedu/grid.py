@@ -39,7 +39,8 @@ def grid_filter(model, y, grid, *, tolerance=1e-3):
         Nodes in ascending order, in the units of the state; they need not be evenly spaced. For n_x = 2
         the nodes of the first and of the second state: the grid is all G = G_1 G_2 pairs.
     tolerance : float
-        How much probability a prediction may lose or gain on the grid before it is an error.
+        How much probability a prediction may lose or gain on the grid before it is an error. Each increment of
+        the log-likelihood may be off by as much.
 
     Returns
     -------
@@ -236,8 +237,12 @@ def _correct(model, k, y, missing, grid, p):
     if missing.all():
         return p / (p @ grid.dx)[..., None], np.zeros(missing.shape)
     log_g = _shaped("log_likelihood", model.log_likelihood(k, y[..., None, :], grid.x), p.shape)
+    log_g = np.where(missing[..., None], 0.0, log_g)
+    if not (log_g < np.inf).all():  # false for NaN too
+        node = np.argwhere(~(log_g < np.inf))[0, -1]
+        raise ValueError(f"step {k}: log_likelihood is not finite at the node {grid.x[node].tolist()}")
     with np.errstate(divide="ignore"):  # no probability is a logarithm of -inf
-        log_joint = np.log(p) + np.where(missing[..., None], 0.0, log_g)  # (..., G)
+        log_joint = np.log(p) + log_g  # (..., G)
     peak = log_joint.max(axis=-1, keepdims=True)
     if not (peak > -np.inf).all():
         raise GridError(

@@ -1,5 +1,6 @@
 """Monte Carlo studies: the same measurement over many runs and settings, in one call."""
 
+import copy
 from dataclasses import dataclass
 
 import numpy as np
@@ -94,7 +95,7 @@ def study(measure, settings, *, n_runs, rng, batch=100, map=map):
     """
     if not isinstance(rng, np.random.Generator):
         raise TypeError(f"rng must be a numpy.random.Generator, e.g. numpy.random.default_rng(1); got {rng!r}")
-    if not (n_runs >= 2 and batch >= 1):
+    if not (n_runs >= 2 and batch >= 1 and n_runs == int(n_runs) and batch == int(batch)):
         raise ValueError(f"a study needs at least 2 runs, in batches of at least 1; got {n_runs} and {batch}")
     sizes = [min(batch, n_runs - begin) for begin in range(0, n_runs, batch)]
     seeds = rng.bit_generator.seed_seq.spawn(len(sizes))
@@ -108,7 +109,8 @@ def study(measure, settings, *, n_runs, rng, batch=100, map=map):
 
 def _run(job):
     measure, n_runs, seed, setting = job
-    quantities = {name: np.asarray(v) for name, v in measure(n_runs, np.random.default_rng(seed), **setting).items()}
+    rng = np.random.default_rng(copy.deepcopy(seed))  # a seed counts what is spawned off it: each job has its own
+    quantities = {name: np.asarray(values) for name, values in measure(n_runs, rng, **setting).items()}
     for name, values in quantities.items():
         if values.shape[:1] != (n_runs,):
             raise ValueError(f"{name} must have one value a run, ({n_runs}, ...); got {values.shape} for {setting}")
@@ -151,7 +153,7 @@ def rms(error, y):
 
 
 def particles_needed(error, target, *, start=10, most=10**6, factor=1.05):
-    r"""Smallest number of particles whose error is at most the target.
+    r"""Smallest number of particles whose error is at most the target, to within a factor.
 
     The error is taken to fall with N. N is doubled until it is small enough, and then bracketed by bisection on a
     logarithmic scale.
@@ -174,7 +176,7 @@ def particles_needed(error, target, *, start=10, most=10**6, factor=1.05):
     Raises
     ------
     ValueError
-        If ``most`` particles are not enough.
+        If ``most`` particles are not enough, or their error is no number.
 
     Examples
     --------
@@ -182,11 +184,13 @@ def particles_needed(error, target, *, start=10, most=10**6, factor=1.05):
     >>> particles_needed(lambda n: 100 / n, 0.1, factor=1.001)
     1000
     """
+    if not 1 <= start <= most:
+        raise ValueError(f"start must lie between 1 and most, got {start} and {most}")
     low, high = 0, start
-    while error(high) > target:
-        low, high = high, 2 * high
-        if high > most:
-            raise ValueError(f"{low} particles have an error above {target:g}, and no more than {most} are allowed")
+    while not error(high) <= target:  # true for NaN too
+        if high == most:
+            raise ValueError(f"{most} particles, the most allowed, have the error {error(most):g}, above {target:g}")
+        low, high = high, min(2 * high, most)
     while high - low > 1 and high > factor * low:
         middle = round((low * high) ** 0.5) if low else high // 2
         low, high = (low, middle) if error(middle) <= target else (middle, high)

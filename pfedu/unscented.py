@@ -157,7 +157,7 @@ def sampled(model, transform):
 
     def correct(k, m, P, y):
         X = transform.points(m, P, f"the covariance of step {k}")
-        return by_points(model, k, m, P, y, X, transform, m.shape[-1])
+        return by_points(model, k, m, y, X, transform, m.shape[-1])
 
     return predict, correct
 
@@ -199,13 +199,20 @@ def augmented(model, transform):
         X = last.get("X")
         if X is None:  # time 0: nothing was predicted
             return sampled(model, transform)[1](k, m, P, y)
-        return by_points(model, k, m, P, y, X, transform, 2 * n)
+        return by_points(model, k, m, y, X, transform, 2 * n)
 
     return predict, correct
 
 
 def centred(X, transform, n):
-    """Weighted mean of points, their deviations from it, and the weights of a covariance.
+    r"""Weighted mean of points, and deviations with weights that make a covariance.
+
+    .. math::
+        m = \mathcal X_0 + \sum_{j \neq 0} W_j \delta_j, \quad
+        P = \sum_{j \neq 0} W_j \delta_j \delta_j^\top + (\beta - \alpha^2) (\mathcal X_0 - m)(\mathcal X_0 - m)^\top,
+        \quad \delta_j = \mathcal X_j - \mathcal X_0
+
+    These are the sums of :class:`Unscented`, reordered: there, weights of the size of 1/alpha² nearly cancel.
 
     Parameters
     ----------
@@ -219,6 +226,7 @@ def centred(X, transform, n):
     -------
     mean : ndarray, shape (..., m)
     d : ndarray, shape (..., 2n+1, m)
+        First the deviation of the central point from the mean, then those of the others from the central point.
     weights : ndarray, shape (2n+1,)
 
     Examples
@@ -228,20 +236,25 @@ def centred(X, transform, n):
     >>> mean.tolist(), (W @ d**2).tolist()  # the mean of a squared N(0, 1), and its variance
     ([1.0], [2.0])
     """
-    mean_weights, cov_weights = transform.weights(n)
-    mean = mean_weights @ X
-    return mean, X - mean[..., None, :], cov_weights
+    weights = transform.weights(n)[0]
+    d = X - X[..., :1, :]
+    mean = X[..., 0, :] + weights @ d
+    d[..., 0, :] = X[..., 0, :] - mean
+    weights[0] = transform.beta - transform.alpha**2
+    return mean, d, weights
 
 
-def by_points(model, k, m, P, y, X, transform, n):
-    """Correct N(m, P) by a measurement that is predicted from points X.
+def by_points(model, k, m, y, X, transform, n):
+    r"""Correct a Gaussian of mean m by a measurement that is predicted from its points X.
+
+    .. math:: P \leftarrow \sum_j W_j (d_j - K e_j)(d_j - K e_j)^\top + K R K^\top
 
     Parameters
     ----------
     model : AdditiveGaussian
     k : int
-    m, P : ndarray, shape (..., n_x) and (..., n_x, n_x)
-        Mean and covariance a priori.
+    m : ndarray, shape (..., n_x)
+        Mean a priori.
     y : ndarray, shape (..., n_y)
     X : ndarray, shape (..., 2n+1, n_x)
     transform : Unscented
@@ -260,13 +273,15 @@ def by_points(model, k, m, P, y, X, transform, n):
     >>> from pfedu.unscented import Unscented, by_points
     >>> m, P, ut = np.zeros(1), np.ones((1, 1)), Unscented()
     >>> model = pfedu.models.random_walk(r=1.0)
-    >>> by_points(model, 1, m, P, np.ones(1), ut.points(m, P), ut, 1)[0].round(12).tolist()
+    >>> by_points(model, 1, m, np.ones(1), ut.points(m, P), ut, 1)[0].round(12).tolist()
     [0.5]
     """
-    y_mean, e, W = centred(model.h(k, X), transform, n)
-    d = X - m[..., None, :]
+    (y_mean, e, W), (_, d, _) = (centred(points, transform, n) for points in (model.h(k, X), X))
     S = np.swapaxes(e * W[:, None], -1, -2) @ e + model.R
-    K = np.swapaxes(np.linalg.solve(S, np.swapaxes(e * W[:, None], -1, -2) @ d), -1, -2)
-    P_new = P - K @ S @ np.swapaxes(K, -1, -2)
-    log_likelihood = log_density(y, y_mean, S)
-    return m + (K @ (y - y_mean)[..., None])[..., 0], 0.5 * (P_new + np.swapaxes(P_new, -1, -2)), log_likelihood
+    try:
+        K = np.swapaxes(np.linalg.solve(S, np.swapaxes(e * W[:, None], -1, -2) @ d), -1, -2)
+    except np.linalg.LinAlgError as error:
+        raise ValueError(f"step {k}: S is singular, a measurement without noise of something known") from error
+    left = d - e @ np.swapaxes(K, -1, -2)  # as in Joseph's form: a difference of covariances loses digits
+    P_new = np.swapaxes(left * W[:, None], -1, -2) @ left + K @ model.R @ np.swapaxes(K, -1, -2)
+    return m + (K @ (y - y_mean)[..., None])[..., 0], P_new, log_density(y, y_mean, S)

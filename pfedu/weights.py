@@ -210,7 +210,7 @@ def weighted_mean(x, log_w, circular=None):
     Raises
     ------
     ValueError
-        If the shapes do not fit.
+        If the shapes do not fit or the weights are not normalised.
 
     Examples
     --------
@@ -247,7 +247,7 @@ def weighted_cov(x, log_w, circular=None):
     Raises
     ------
     ValueError
-        If the shapes do not fit.
+        If the shapes do not fit or the weights are not normalised.
 
     Examples
     --------
@@ -280,7 +280,7 @@ def weighted_moments(x, log_w, circular=None):
     Raises
     ------
     ValueError
-        If the shapes do not fit.
+        If the shapes do not fit or the weights are not normalised.
 
     Examples
     --------
@@ -321,7 +321,7 @@ def moments(x, w, circular=None):
     if circular.any():
         d = wrap(d, circular)
     if x.shape[-1] == 1:  # the same sum, in half the time
-        return mean[..., 0, :], w[..., None, :] @ (d * d)
+        return mean[..., 0, :], (w * d[..., 0])[..., None, :] @ d
     return mean[..., 0, :], np.swapaxes(d * w[..., None], -1, -2) @ d
 
 
@@ -338,6 +338,10 @@ def _particles_and_weights(x, log_w):
     if x.ndim < 2 or x.shape[:-1] != log_w.shape:
         raise ValueError(f"particles (..., N, n_x) and log weights (..., N) do not fit: {x.shape} and {log_w.shape}")
     w = np.exp(log_w)
+    total = w.sum(axis=-1)
+    if (np.abs(total - 1.0) > 1e-5).any():
+        raise ValueError(f"weights must be normalised, their sum is {total.ravel()[np.abs(total - 1.0).argmax()]:.6g}: "
+                         "use pfedu.weights.normalize first")  # fmt: skip
     return without_runaways(x, w), w
 
 

@@ -7,7 +7,15 @@ from test_kalman import three_states
 
 import pfedu
 from pfedu.kalman import extended_kalman_filter, kalman_filter, linearised
-from pfedu.models import AdditiveGaussian, MissingPieceError, StateSpaceModel, falling_body, growth, van_der_pol
+from pfedu.models import (
+    AdditiveGaussian,
+    MissingPieceError,
+    StateSpaceModel,
+    falling_body,
+    growth,
+    random_walk,
+    van_der_pol,
+)
 from pfedu.models.jacobian import jacobian
 from pfedu.unscented import Unscented, augmented, centred, sampled, unscented_kalman_filter
 
@@ -211,3 +219,28 @@ def test_bad_input_is_named():
     with pytest.raises(ValueError, match=r"jacobian_f\(k, x\) must give shape \(1, 1\) for x \(1,\), got \(1,\)"):
         model = AdditiveGaussian(lambda k, x: x, 1.0, 1.0, 1.0, 0.0, 1.0, jacobian_f=lambda k, x: np.ones_like(x))
         extended_kalman_filter(model, [[1.0], [1.0]])
+
+
+@pytest.mark.parametrize("noise", ["additive", "augmented"])
+@pytest.mark.parametrize(("p0", "r"), [(1e13, 1e-4), (1e10, 1e-6), (1e6, 1e-10)])
+def test_a_sharp_measurement_of_something_unknown(p0, r, noise):
+    """Catches P - K S K', which leaves rounding of the size of the prior where the posterior is tiny."""
+    model, y = random_walk(q=1.0, r=r, p0=p0), np.array([[1.0], [2.0], [3.0]])
+    got, exact = unscented_kalman_filter(model, y, noise=noise), kalman_filter(model, y)
+    np.testing.assert_allclose(got.cov, exact.cov, rtol=1e-6)
+    np.testing.assert_allclose(got.mean, exact.mean, rtol=1e-6)
+
+
+@pytest.mark.parametrize("alpha", [1.0, 1e-3, 1e-6])
+def test_points_close_together_keep_their_digits(alpha):
+    """Catches weights of 1/alpha^2 that cancel: x^2 of N(3, 2) has mean 11 and variance 80 however close the points lie."""
+    transform = Unscented(alpha=alpha)
+    points = transform.points(np.array([3.0]), np.array([[2.0]])) ** 2
+    mean, d, W = centred(points, transform, 1)
+    assert mean[0] == pytest.approx(11.0, rel=1e-3) and W @ d[:, 0] ** 2 == pytest.approx(80.0, rel=1e-3)
+
+
+def test_differences_know_the_scale_of_the_state():
+    """Catches a step of 6e-6 taken across a whole wave: a state of the size of 1e-6, measured through a sine of it."""
+    model = AdditiveGaussian(f=1.0, h=lambda k, x: np.sin(x / 1e-6), Q=1e-14, R=0.01, m0=0.0, P0=1e-14)
+    assert model.jacobian_h(0, np.zeros(1))[0, 0] == pytest.approx(1e6, rel=1e-6)

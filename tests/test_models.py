@@ -13,6 +13,7 @@ from pfedu.models import (
     MissingPieceError,
     StateSpaceModel,
     copies,
+    falling_body,
     growth,
     local_level,
     random_walk,
@@ -322,6 +323,10 @@ def test_copies_are_independent_copies():
                                    model.log_transition(2, apart[1:], apart[:-1]).sum(axis=-1))  # fmt: skip
         np.testing.assert_allclose(many.log_initial(x), model.log_initial(apart).sum(axis=-1))
     assert isinstance(copies(linear_2d(), 2), LinearGaussian) and hasattr(copies(van_der_pol(), 2), "H")
+    with pytest.raises(ValueError, match="noise of FallingBody is not simply added, which copies need"):
+        copies(falling_body(), 2)
+    with pytest.raises(MissingPieceError, match="AdditiveProcess has no h, which a model of copies needs"):
+        copies(stochastic_volatility(), 2)
     with pytest.raises(ValueError, match="number of copies must be a whole number of at least 1, got 0"):
         copies(growth(), 0)
 

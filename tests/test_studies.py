@@ -12,7 +12,8 @@ NAN = np.nan
 
 
 def draws(n_runs, rng, scale=1.0):
-    return {"value": scale * rng.standard_normal(n_runs), "pair": rng.random((n_runs, 2))}
+    first, second = rng.spawn(2)  # as every filter does
+    return {"value": scale * first.standard_normal(n_runs), "pair": second.random((n_runs, 2))}
 
 
 def run(settings=({},), **changes):
@@ -96,5 +97,10 @@ def test_bad_input_is_named():
         study(lambda n, rng, a: {"x": 1.0}, [{"a": 3}], n_runs=5, rng=np.random.default_rng(1))
     with pytest.raises(ValueError, match="errors of 3 steps do not fit a record of 2 rows, 1 of them measured"):
         rms(np.zeros((3, 1)), [NAN, 1.0])
-    with pytest.raises(ValueError, match=r"80 particles have an error above 0\.5, and no more than 100"):
+    with pytest.raises(ValueError, match="have the error nan, above"):
+        particles_needed(lambda n: NAN, 0.5, most=100)
+    with pytest.raises(ValueError, match="start must lie between 1 and most, got 100 and 5"):
+        particles_needed(lambda n: 0.0, 0.5, start=100, most=5)
+    assert particles_needed(lambda n: 100 / n, 7, start=10, most=15) == 15
+    with pytest.raises(ValueError, match=r"100 particles, the most allowed, have the error 1, above 0\.5"):
         particles_needed(lambda n: 1.0, 0.5, most=100)

@@ -16,6 +16,7 @@ from pfedu.weights import (
     normalize,
     weighted_cov,
     weighted_mean,
+    weighted_moments,
     wrap,
 )
 
@@ -297,3 +298,19 @@ def test_flags_that_do_not_fit_are_an_error(circular):
     ):
         with pytest.raises(ValueError, match="circular must be 2 times True or False, one for each state"):
             use()
+
+
+def test_a_particle_of_weight_zero_may_be_far_away():
+    """Catches zero times the square of a huge distance, in one state or two."""
+    for n_x in (1, 2):
+        x = np.array([[0.0] * n_x, [2.0] * n_x, [1e200] * n_x])
+        mean, cov = weighted_moments(x, np.log([0.5, 0.5, 1e-320]) * [1, 1, np.inf])
+        np.testing.assert_allclose(mean, 1.0)
+        np.testing.assert_allclose(cov, 1.0)
+
+
+def test_weights_that_are_not_normalised_are_an_error():
+    """Catches a mean of twice its size, given in silence."""
+    for function in (weighted_mean, weighted_cov, weighted_moments):
+        with pytest.raises(ValueError, match="weights must be normalised, their sum is 2: use"):
+            function([[1.0], [3.0]], [0.0, 0.0])

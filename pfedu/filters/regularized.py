@@ -1,6 +1,6 @@
 """The regularised particle filter: copies are spread by a kernel. Chapter 9."""
 
-from math import gamma, pi
+from math import exp, lgamma, log, pi, sqrt
 
 import numpy as np
 
@@ -94,7 +94,7 @@ def regularized_filter(model, y, n_particles, *, rng, kernel="epanechnikov", ban
 
 
 def optimal_bandwidth(n_particles, n_x, kernel="epanechnikov"):
-    r"""Bandwidth of least mean integrated square error, if the density is Gaussian.
+    r"""Bandwidth of the least mean integrated square error that many particles allow, if the density is Gaussian.
 
     .. math::
         h = \left(\frac{4}{n_x + 2}\right)^{\frac{1}{n_x + 4}} N^{-\frac{1}{n_x + 4}} \text{ (Gaussian)}, \qquad
@@ -134,11 +134,11 @@ def optimal_bandwidth(n_particles, n_x, kernel="epanechnikov"):
         if not (value >= 1 and value == int(value)):
             raise ValueError(f"{name} must be a whole number of at least 1, got {value}")
     if kernel == "gaussian":
-        constant = 4.0 / (n_x + 2)
+        log_constant = log(4.0 / (n_x + 2))
     else:
-        ball = pi ** (n_x / 2) / gamma(n_x / 2 + 1)
-        constant = 8.0 / ball * (n_x + 4) * (2.0 * np.sqrt(pi)) ** n_x
-    return float((constant / n_particles) ** (1.0 / (n_x + 4)))
+        log_ball = n_x / 2 * log(pi) - lgamma(n_x / 2 + 1)
+        log_constant = log(8.0 * (n_x + 4)) - log_ball + n_x * log(2.0 * sqrt(pi))
+    return exp((log_constant - log(n_particles)) / (n_x + 4))
 
 
 def draw_kernel(kernel, shape, rng):

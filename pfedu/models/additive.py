@@ -4,7 +4,7 @@ import numpy as np
 
 from pfedu.gaussian import Gaussian
 from pfedu.models.jacobian import jacobian
-from pfedu.models.state_space import StateSpaceModel
+from pfedu.models.state_space import StateSpaceModel, require
 
 
 class AdditiveProcess(StateSpaceModel):
@@ -76,7 +76,8 @@ class AdditiveProcess(StateSpaceModel):
             setattr(self, name.translate({ord("f"): "F", ord("h"): "H"}), matrix)
             function, derivative = (lambda k, x: _apply(matrix, x)), lambda k, x: _as_many(matrix, x)
         if derivative is None:
-            derivative = lambda k, x: jacobian(lambda z: checked(k, z), x)  # noqa: E731
+            scale = np.sqrt(np.diag(self.P0) + np.diag(self.Q))  # how far states of this model lie apart
+            derivative = lambda k, x: jacobian(lambda z: checked(k, z), x, scale)  # noqa: E731
         checked = _checked(name, function, (n,))
         return checked, _checked(f"jacobian_{name}", derivative, (n, self.n_x))
 
@@ -219,8 +220,10 @@ def copies(model, n):
 
     Raises
     ------
+    MissingPieceError
+        If the model has no functions f and h with Gaussian noise.
     ValueError
-        If n is not a whole number of at least 1.
+        If n is not a whole number of at least 1, or noise is not simply added.
 
     Examples
     --------
@@ -230,6 +233,10 @@ def copies(model, n):
     """
     if not (n >= 1 and n == int(n)):
         raise ValueError(f"the number of copies must be a whole number of at least 1, got {n}")
+    for piece in ("f", "Q", "h", "R", "P0"):
+        require(model, piece, "a model of copies")
+    if not model.noise_is_additive:
+        raise ValueError(f"the noise of {type(model).__name__} is not simply added, which copies need")
 
     def many(A):
         return np.kron(np.eye(int(n)), A)

@@ -48,7 +48,7 @@ def van_der_pol(mu=1.0, dt=0.05, q=0.025**2, r=0.04**2, m0=(2.0, 0.0), p0=1.0):
 
     def jacobian_f(k, x):
         x1, x2 = x[..., 0], x[..., 1]
-        rows = [[np.ones_like(x1), np.full_like(x1, dt)], [-(2 * mu * x1 * x2 + 1) * dt, 1 + mu * (1 - x1 * x1) * dt]]
+        rows = [[np.ones(x1.shape), np.full(x1.shape, dt)], [-(2 * mu * x1 * x2 + 1) * dt, 1 + mu * (1 - x1 * x1) * dt]]
         return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
 
     return AdditiveGaussian(f=f, h=[[1.0, 0.0]], Q=[q, q], R=r, m0=m0, P0=[p0, p0], jacobian_f=jacobian_f)
