@@ -233,7 +233,7 @@ def test_a_sharp_measurement_of_something_unknown(p0, r, noise):
 
 @pytest.mark.parametrize("alpha", [1.0, 1e-3, 1e-6])
 def test_points_close_together_keep_their_digits(alpha):
-    """Catches weights of 1/alpha^2 that cancel: x^2 of N(3, 2) has mean 11 and variance 80 however close the points lie."""
+    """Catches weights of 1/alpha^2 that cancel: x^2 of N(3, 2) has mean 11 and variance 80, however close they lie."""
     transform = Unscented(alpha=alpha)
     points = transform.points(np.array([3.0]), np.array([[2.0]])) ** 2
     mean, d, W = centred(points, transform, 1)
