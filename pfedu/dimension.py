@@ -140,17 +140,25 @@ class Proposal:
         float
             ``inf`` where the mean does not exist.
 
+        Raises
+        ------
+        ValueError
+            If the power is not finite.
+
         Examples
         --------
         >>> from pfedu.dimension import Proposal
         >>> [round(float(Proposal(0.5).growth(power)), 2) for power in (-1, 0, 1)]
         [1.49, 1.61, 2.0]
         """
+        if not np.isfinite(power):
+            raise ValueError(f"the power must be a finite number, got {power}")
         c = self.K / (1.0 + self.K)
-        if power == 0:
+        if abs(power) < 1e-17:  # the limit, to the last digit
             return self.factor(1.0)
-        left = 1.0 - 2.0 * power * c
-        return left ** (-0.5 / power) / np.sqrt(1.0 - self.K**2) if left > 0 else np.inf
+        if 2.0 * power * c >= 1.0:
+            return np.inf
+        return np.exp(-0.5 / power * np.log1p(-2.0 * power * c)) / np.sqrt(1.0 - self.K**2)
 
     def log_weight_variance(self, z=1.0):
         r"""Variance of the log weight that one coordinate adds, for a scaled innovation z.
@@ -274,7 +282,7 @@ class Proposal:
         Returns
         -------
         ndarray
-            Not rounded.
+            Not rounded; ``inf`` where it is beyond the largest double.
 
         Examples
         --------
@@ -282,7 +290,8 @@ class Proposal:
         >>> Proposal(0.5).particles_for_n_eff(100, [1, 10]).round().tolist()
         [161.0, 11813.0]
         """
-        return _at_least(1, n_eff=n_eff) / self.n_eff_share(n_x)
+        with np.errstate(over="ignore"):
+            return _at_least(1, n_eff=n_eff) * self.growth() ** _at_least(1, n_x=n_x)
 
     def particles_for_error(self, error, n_x, total=False):
         r"""N that a typical record needs for a given squared error of the mean.
@@ -313,7 +322,7 @@ class Proposal:
         Returns
         -------
         ndarray
-            Not rounded.
+            Not rounded; ``inf`` where it is beyond the largest double.
 
         Raises
         ------
@@ -332,7 +341,8 @@ class Proposal:
         if not (error > 0).all():
             raise ValueError(f"the error must be above zero, got {error.min()}")
         one = self.error_factor(np.ones(1)) / self.factor()
-        return one * self.growth() ** n_x / error * (n_x if total else 1.0)
+        with np.errstate(over="ignore"):
+            return one * self.growth() ** n_x / error * (n_x if total else 1.0)
 
 
 def bootstrap(q=1.0, r=1.0):

@@ -40,18 +40,25 @@ def as_cov(cov, name="cov"):
     if cov.shape[-1] != cov.shape[-2]:
         raise ValueError(f"{name} must be a scalar, a vector of variances or a square matrix, got shape {cov.shape}")
     if not np.isfinite(cov).all():
-        raise ValueError(f"{name} has an entry that is not finite: {cov.tolist()}")
+        raise ValueError(f"{name} has an entry that is not finite: {_first(cov, ~np.isfinite(cov).all((-2, -1)))}")
     sd = np.sqrt(np.abs(np.diagonal(cov, axis1=-2, axis2=-1)))
-    if (np.abs(cov - np.swapaxes(cov, -1, -2)) > 1e-8 * sd[..., None] * sd[..., None, :]).any():
-        raise ValueError(f"{name} is not symmetric: {cov.tolist()}")
+    skew = np.abs(cov - np.swapaxes(cov, -1, -2)) > 1e-8 * sd[..., None] * sd[..., None, :]
+    if skew.any():
+        raise ValueError(f"{name} is not symmetric: {_first(cov, skew.any((-2, -1)))}")
     return cov
+
+
+def _first(cov, bad):
+    """The first bad matrix of a stack, for a message: one a particle would fill the screen."""
+    return cov[bad][0].tolist()
 
 
 def sqrt_cov(cov, name="cov"):
     r"""A matrix S with :math:`S S^\top = P`, also for a singular P.
 
     The Cholesky factor where there is one, else the eigenvector root, so that a state known exactly
-    (variance zero) needs no special case.
+    (variance zero) needs no special case. In a stack, one matrix without a Cholesky factor gives all
+    of them the eigenvector root.
 
     Parameters
     ----------
@@ -67,7 +74,8 @@ def sqrt_cov(cov, name="cov"):
     Raises
     ------
     ValueError
-        If a variance is negative, or an eigenvalue of the correlations beyond rounding.
+        If a variance is negative, or zero beside a covariance that is not, or an eigenvalue of the
+        correlations is negative beyond rounding.
 
     Examples
     --------
@@ -82,6 +90,11 @@ def sqrt_cov(cov, name="cov"):
         variances = np.diagonal(cov, axis1=-2, axis2=-1)  # (..., n)
     if (variances < 0).any():
         raise ValueError(f"{name} is not positive semi-definite: it has the variance {variances.min():.3g}")
+    tiny = np.sqrt(np.finfo(float).tiny)  # a standard deviation below it may be zero because its square underflows
+    lost = (variances == 0)[..., None] & (np.abs(cov) > tiny * np.maximum(np.sqrt(variances), tiny)[..., None, :])
+    if lost.any():
+        raise ValueError(f"{name} is not positive semi-definite: a variance of zero has the covariance "
+                         f"{cov[lost][0]:.3g}")  # fmt: skip
     if not (cov * (1.0 - np.eye(cov.shape[-1]))).any():  # diagonal: keep it readable
         return np.sqrt(cov)
     sd = np.sqrt(np.where(variances > 0, variances, 1.0))[..., None]  # (..., n, 1)
@@ -172,12 +185,12 @@ class Gaussian:
         if self.n == 1:
             z = d[..., 0] * (self._whiten[0, 0] * np.sqrt(0.5))
             z *= z  # in place: at 100 000 particles, time goes into fresh memory
-            return self._log_norm - z
+            return np.subtract(self._log_norm, z, out=z if np.ndim(z) else None)
         z = d @ self._whiten.T
         return self._log_norm - 0.5 * np.sum(z * z, axis=-1)
 
 
-def log_density(x, mean, cov):
+def log_density(x, mean, cov, name="cov"):
     r"""Log of the Gaussian density N(x; m, P), one or many at a time.
 
     Parameters
@@ -186,6 +199,8 @@ def log_density(x, mean, cov):
         Point and mean, in the same units.
     cov : array_like, shape (), (n,) or (..., n, n)
         Covariance, positive definite.
+    name : str
+        What to call it in an error.
 
     Returns
     -------
@@ -203,13 +218,14 @@ def log_density(x, mean, cov):
     -1.4189
     """
     d = np.atleast_1d(np.asarray(x, dtype=float) - np.asarray(mean, dtype=float))
-    cov = as_cov(cov)
+    cov = as_cov(cov, name)
     if d.shape[-1] != cov.shape[-1]:
         raise ValueError(f"points of {d.shape[-1]} components do not fit a covariance of shape {cov.shape}")
     try:
         root = np.linalg.cholesky(cov)
     except np.linalg.LinAlgError as error:
-        raise ValueError(f"cov is not positive definite: {cov.tolist()}") from error
+        smallest = np.linalg.eigvalsh(cov)[..., 0]
+        raise ValueError(f"{name} is not positive definite: {_first(cov, smallest == smallest.min())}") from error
     z = np.linalg.solve(root, d[..., None])[..., 0]
     log_det = np.log(np.diagonal(root, axis1=-2, axis2=-1)).sum(axis=-1)
     return -0.5 * np.sum(z * z, axis=-1) - log_det - 0.5 * d.shape[-1] * _LOG_2PI

@@ -16,7 +16,7 @@ def kalman_filter(model, y):
         m &= m^- + K (y - H m^-), & P &= (I - K H) P^- (I - K H)^\top + K R K^\top
 
     Source: Simon, *Optimal State Estimation* (2006), section 5.1; the covariance in Joseph's form,
-    which rounding leaves symmetric and positive where shorter forms drift.
+    which stays symmetric to rounding, and positive, where shorter forms drift.
 
     Parameters
     ----------
@@ -149,7 +149,7 @@ def gaussian_filter(model, y, predict, correct):
             m, P = predict(k, m, P)
         skip, increment = missing[..., k], np.zeros(missing.shape[:-1])
         if not skip.all():
-            m_new, P_new, log_likelihood = correct(k, m, P, y[..., k, :])  # NaN where skipped
+            m_new, P_new, log_likelihood = correct(k, *_lent(skip, m, P, y[..., k, :]))
             m = np.where(skip[..., None], m, m_new)
             P = np.where(skip[..., None, None], P, P_new)
             increment = np.where(skip, 0.0, log_likelihood)
@@ -157,6 +157,14 @@ def gaussian_filter(model, y, predict, correct):
         covs.append(P)
         increments.append(increment)
     return Track(np.stack(means, -2), np.stack(covs, -3), np.stack(increments, -1))
+
+
+def _lent(skip, *arrays):
+    """Give runs that are skipped what another has: what they have may not allow a correction."""
+    if not skip.any():
+        return arrays
+    other = tuple(np.argwhere(~skip)[0])
+    return (np.where(skip.reshape(*skip.shape, *(1,) * (a.ndim - skip.ndim)), a[other], a) for a in arrays)
 
 
 def linearised(model):
@@ -296,7 +304,7 @@ def update(m, P, innovation, H, R):
         ) from error
     A = np.eye(m.shape[-1]) - K @ H
     P_new = A @ P @ _T(A) + K @ R @ _T(K)
-    return m + (K @ innovation[..., None])[..., 0], P_new, log_density(innovation, 0.0, S)
+    return m + (K @ innovation[..., None])[..., 0], P_new, log_density(innovation, 0.0, S, "S = H P H' + R")
 
 
 def _T(A):

@@ -48,6 +48,8 @@ from pfedu.weights import (
 
 ORIENTATIONS = ("row", "column")
 ESTIMATE_METHODS = ("mean", "maxweight")
+LOG_WEIGHTS = ("log_w", "log_w_weighed")
+LOWEST = np.finfo(float).min  # stands for -inf in a snapshot: JSON has no infinite numbers
 
 
 @dataclass(frozen=True)
@@ -204,7 +206,7 @@ class ParticleFilter:
         >>> pf.particles.shape, bool(np.all(np.abs(pf.particles[:, 1]) <= np.pi))
         ((100, 2), True)
         """
-        if not (n_particles >= 1 and n_particles == int(n_particles)):
+        if not (1 <= n_particles < np.inf and n_particles == int(n_particles)):
             raise ValueError(f"n_particles must be a whole number of at least 1, got {n_particles}")
         if (mean is None, cov is None, bounds is None) not in {(False, False, True), (True, True, False)}:
             raise TypeError("initialize needs either mean and cov, or bounds")
@@ -256,7 +258,7 @@ class ParticleFilter:
         [[1.5]]
         """
         now = self._initialized()
-        with _undone_on_error(self._rng_move):
+        with self._undone_on_error("_rng_move"):
             x = self.transition(self._turn(read_only(now.x)), self._rng_move, *args, **kwargs)
             self._now = now.moved(self._states(x, "transition gave"), now.log_w, k=now.k + 1)
         return self._estimate()
@@ -302,7 +304,7 @@ class ParticleFilter:
         [[7.5]]
         """
         now = self._initialized()
-        with _undone_on_error(self._rng_pick):
+        with self._undone_on_error("_rng_pick"):
             # Weigh
             log_g = self._log_likelihoods(self.likelihood(self._turn(read_only(now.x)), y, *args, **kwargs))
             log_w, increment = self._reweight(now, log_g)
@@ -341,7 +343,8 @@ class ParticleFilter:
     def snapshot(self):
         """Everything that the steps have made of the filter, as plain values.
 
-        A dictionary of numbers, strings and lists that survives ``json.dump`` and ``numpy.savez(file, **snapshot)``.
+        A dictionary of finite numbers, strings and lists that survives ``json.dump`` (also with ``allow_nan=False``)
+        and ``numpy.savez(file, **snapshot)``. The logarithm of a weight of zero is written as the lowest double.
         What the constructor was told (functions, resampling, policy, estimate method) is not in it.
 
         Returns
@@ -371,6 +374,7 @@ class ParticleFilter:
         True
         """
         values = {f.name: getattr(self._initialized(), f.name) for f in fields(_Belief)}
+        values |= {name: np.maximum(values[name], LOWEST) for name in LOG_WEIGHTS}
         plain = {name: v.tolist() if isinstance(v, np.ndarray) else v for name, v in values.items()}
         return plain | {"rng_move": _generator_to_text(self._rng_move), "rng_pick": _generator_to_text(self._rng_pick)}
 
@@ -388,7 +392,7 @@ class ParticleFilter:
         Raises
         ------
         ValueError
-            If it is not a whole snapshot. The filter then stays as it was.
+            If it is not a whole snapshot, or a value in it cannot be. The filter then stays as it was.
 
         Examples
         --------
@@ -409,6 +413,9 @@ class ParticleFilter:
         values = {name: np.asarray(snapshot[name]) for name in names}
         belief = _Belief(**{name: v if v.ndim else v.item() for name, v in values.items()})
         _check_belief(belief)
+        numbers = {name: values[name].astype(float) for name in ("x", "x_weighed", *LOG_WEIGHTS)}
+        numbers |= {name: np.where(numbers[name] == LOWEST, -np.inf, numbers[name]) for name in LOG_WEIGHTS}
+        belief = replace(belief, **numbers)
         generators = [_generator_from_text(str(snapshot[name])) for name in ("rng_move", "rng_pick")]
         (self._rng_move, self._rng_pick), self._now, self._orientation = generators, belief, belief.orientation
 
@@ -511,6 +518,20 @@ class ParticleFilter:
         """Log-likelihood of all measurements since ``initialize``."""
         return self._initialized().log_likelihood
 
+    @contextlib.contextmanager
+    def _undone_on_error(self, name):
+        """Put a generator back as it was if the block fails, whatever its functions drew or spawned."""
+        bits = getattr(self, name).bit_generator
+        state, children = bits.state, bits.seed_seq.n_children_spawned
+        try:
+            yield
+        except BaseException:
+            if bits.seed_seq.n_children_spawned > children:  # no generator counts back: make another
+                bits = type(bits)(np.random.SeedSequence(**bits.seed_seq.state | {"n_children_spawned": children}))
+                setattr(self, name, np.random.Generator(bits))
+            bits.state = state
+            raise
+
     def _initialized(self):
         if self._now is None:
             raise RuntimeError("the filter has no particles yet: call initialize(n, mean, cov) or "
@@ -596,17 +617,6 @@ class ParticleFilter:
         return self.__dict__
 
 
-@contextlib.contextmanager
-def _undone_on_error(rng):
-    """Put a generator back where it was if the block fails, whatever its functions drew."""
-    before = rng.bit_generator.state
-    try:
-        yield
-    except BaseException:
-        rng.bit_generator.state = before
-        raise
-
-
 def _one_of(choices, name, value):
     if value not in choices:
         raise ValueError(f"{name} must be {' or '.join(map(repr, choices))}, got {value!r}")
@@ -650,13 +660,24 @@ def _logarithms(values, name):
         return np.log(values)
 
 
+@np.errstate(over="ignore")
 def _check_belief(belief):
-    """Raise if arrays from a file do not fit together."""
+    """Raise if what a file holds does not fit together, or is nothing that a filter can have come to."""
     shape = np.shape(belief.x)
     wanted = {"x": shape, "x_weighed": shape, "log_w": shape[:1], "log_w_weighed": shape[:1], "circular": shape[1:]}
     for name, size in wanted.items():
         if len(shape) != 2 or np.shape(getattr(belief, name)) != size:
             raise ValueError(f"the snapshot's {name} does not fit its particles x {shape}")
+    for name, numbers in ((name, getattr(belief, name)) for name in ("x", "x_weighed", *LOG_WEIGHTS)):
+        if numbers.dtype.kind not in "fi" or not np.isfinite(np.exp(numbers) if name in LOG_WEIGHTS else numbers).all():
+            raise ValueError(f"the snapshot's {name} holds what is no finite number")
+        if name in LOG_WEIGHTS and abs(np.exp(numbers).sum() - 1.0) > 1e-9:
+            raise ValueError(f"the snapshot's {name} is not normalised: its weights sum to {np.exp(numbers).sum():.6g}")
+    as_circular(belief.circular, shape[1])
+    for name, kinds in {"k": [int], "corrections": [int], "log_likelihood": [int, float], "resampled": [bool]}.items():
+        value = getattr(belief, name)
+        if type(value) not in kinds or not np.isfinite(value) or (name != "log_likelihood" and value < 0):
+            raise ValueError(f"the snapshot's {name} cannot be {value!r}")
     _one_of(ORIENTATIONS, "the snapshot's orientation", belief.orientation)
 
 

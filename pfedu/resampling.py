@@ -58,14 +58,14 @@ def stratified(weights, rng, size=None):
     Examples
     --------
     >>> from pfedu.resampling import stratified
-    >>> stratified([0.5, 0.5], np.random.default_rng(1)).tolist()
+    >>> stratified([0.3, 0.7], np.random.default_rng(1)).tolist()
     [0, 1]
     """
     w, size = _check(weights, size)
-    ends = size * _cumulative(w)  # (..., N), where each particle's stretch ends, counted in cells
+    ends, last = _ends(w, size)  # counted in cells
     cell = np.minimum(ends.astype(np.intp), size - 1)
     below = cell + (np.take_along_axis(rng.random((*w.shape[:-1], size)), cell, axis=-1) < ends - cell)
-    below[ends >= size] = size
+    below[last] = size
     return _copied(below, size)
 
 
@@ -78,13 +78,11 @@ def systematic(weights, rng, size=None):
     Examples
     --------
     >>> from pfedu.resampling import systematic
-    >>> systematic([0.25, 0.5, 0.25, 0.0], np.random.default_rng(1)).tolist()
-    [0, 1, 1, 2]
+    >>> systematic([0.3, 0.0, 0.7], np.random.default_rng(1)).tolist()
+    [0, 2, 2]
     """
     w, size = _check(weights, size)
-    ends = _cumulative(w)  # (..., N), where each particle's stretch ends
-    last = ends >= 1.0
-    ends *= size  # counted in teeth, which stand at u, 1 + u, 2 + u, ...
+    ends, last = _ends(w, size)  # counted in teeth, which stand at u, 1 + u, 2 + u, ...
     ends -= rng.random((*w.shape[:-1], 1))
     below = np.ceil(ends, out=ends).astype(np.intp)
     below[last] = size
@@ -101,11 +99,12 @@ def residual(weights, rng, size=None):
     Examples
     --------
     >>> from pfedu.resampling import residual
-    >>> residual([0.5, 0.25, 0.25], np.random.default_rng(1), size=4).tolist()
+    >>> residual([0.4, 0.3, 0.3], np.random.default_rng(1), size=4).tolist()
     [0, 0, 1, 2]
     """
     w, size = _check(weights, size)
-    w = w / w.sum(axis=-1, keepdims=True)
+    w = w.astype(float)  # in single precision, N * (1/N) may fall short of one copy
+    w /= w.sum(axis=-1, keepdims=True)
     copies = np.floor(size * w + 1e-9).astype(np.intp)  # (..., N), for certain; 3 * (1/3) is one copy
     left = size - copies.sum(axis=-1, keepdims=True)  # (..., 1), places still free
     fraction = np.maximum(size * w - copies, 0.0)
@@ -149,6 +148,14 @@ def _cumulative(w):
     c = np.cumsum(w, axis=-1, dtype=float)  # (..., N)
     c /= c[..., -1:].copy()
     return c
+
+
+def _ends(w, size):
+    """Where each particle's stretch of the interval from 0 to ``size`` ends, and whether it is the end of all."""
+    ends = np.cumsum(w, axis=-1, dtype=float)  # (..., N)
+    last = ends >= ends[..., -1:]
+    ends *= size / ends[..., -1:]
+    return ends, last
 
 
 def _copied(below, size):
@@ -281,7 +288,10 @@ class interval:
             raise ValueError(f"the interval must be a whole number of corrections, at least 1, or inf; got {self.n}")
 
     def __call__(self, n_eff, n, count):
-        """Whether to resample now: bool of the shape of ``n_eff``; ``count`` corrections have been made."""
+        """Whether to resample now: bool of the shape of ``n_eff``; ``count`` corrections have been made.
+
+        Of a filter that looks ahead, ``count`` are the occasions, with a measurement of this time or the next.
+        """
         due = (np.asarray(count) % self.n == 0) if self.n != np.inf else False
         return np.broadcast_to(due, np.shape(n_eff))
 

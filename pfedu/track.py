@@ -84,7 +84,7 @@ def read_record(y, n_y):
     Raises
     ------
     ValueError
-        If the shape does not fit, a value is infinite, or a row is NaN in part only.
+        If the shape does not fit, a value is infinite or masked, or a row is NaN in part only.
 
     Examples
     --------
@@ -93,6 +93,9 @@ def read_record(y, n_y):
     >>> y.shape, missing.tolist()
     ((2, 1), [True, False])
     """
+    if np.ma.is_masked(y):
+        raise ValueError("the record has masked values, whose mask would be lost: a missing measurement is NaN here, "
+                         "y.astype(float).filled(np.nan)")  # fmt: skip
     y = np.asarray(y, dtype=float)
     if y.ndim == 1 and n_y == 1:
         y = y[:, None]

@@ -222,13 +222,65 @@ def test_the_policy_is_asked_with_the_weights_that_look_ahead():
     ahead = log_density(y[1:, None], track.particles[:-1], model.R)  # f of the random walk is x itself
     wanted = [*effective_sample_size(track.log_weights[:-1] + ahead), track.n_eff[-1]]
     np.testing.assert_allclose([n_eff for n_eff, _, _ in calls], wanted, rtol=1e-12)
-    assert [call[1:] for call in calls] == [(30, 0), (30, 1), (30, 2)]
+    assert [call[1:] for call in calls] == [(30, 1), (30, 2), (30, 3)]
 
 
 def test_resampling_goes_before_the_step_that_needs_it():
     """Catches a missing row at which nothing is resampled although the next one is measured, and the reverse."""
     track = run(random_walk(), [NAN, NAN, 1.0, NAN, NAN, 2.0, NAN], 10)
     assert track.resampled.tolist() == [False, True, True, False, True, True, False]
+
+
+def test_an_interval_counts_from_the_first_occasion():
+    """Catches a filter that resamples before anything was measured because 0 is a multiple of 2.
+
+    Occasions are the steps next to a measurement: here those of times 1 to 4, and every second one is taken.
+    """
+    track = run(random_walk(), [NAN, NAN, 1.0, 2.0, 3.0], 10, policy=interval(2))
+    assert track.resampled.tolist() == [False, False, True, False, True]
+    batch = run(random_walk(), [[[NAN], [1.0], [NAN], [NAN], [2.0]], [[1.0], [NAN], [2.0], [3.0], [NAN]]], 10,
+                policy=interval(2))  # fmt: skip
+    assert batch.resampled.tolist() == [[False, True, False, False, True], [False, True, False, True, False]]
+
+
+def boxed():
+    """A state near 0 that takes steps of 3, measured to within 1: the mean of a step from 0 rules 3 out."""
+    return StateSpaceModel(
+        sample_initial=lambda n, rng: 0.1 * rng.standard_normal((n, 1)),
+        propagate=lambda k, x, rng: x + 3.0 * rng.standard_normal(x.shape),
+        log_likelihood=lambda k, y, x: np.where(np.abs(y - x) < 1, 0.0, -np.inf)[..., 0],
+        f=lambda k, x: x,
+    )
+
+
+@pytest.mark.parametrize("policy", [never, ratio(0.0), interval(3)])
+def test_a_look_ahead_that_sees_nothing_does_no_harm_where_nothing_is_resampled(policy):
+    """Catches an error about weights that nobody asked for: the particles do get to the measurement, as in SIR."""
+    ahead, plain = (f(boxed(), [0.0, 3.0], 1000, seed=3, policy=policy) for f in (run, blind))
+    assert abs(ahead.mean[1, 0] - 3.0) < 1.0
+    np.testing.assert_array_equal(ahead.mean, plain.mean)
+    np.testing.assert_array_equal(ahead.log_likelihood_increments, plain.log_likelihood_increments)
+
+
+def test_a_look_ahead_that_sees_nothing_is_an_error_where_resampling_is_due():
+    """Catches NaN weights, and advice (more particles) that does not help; a run beside it is the one that is named."""
+    with pytest.raises(pfedu.ZeroLikelihoodError, match=r"no particle's look-ahead point .* measurement of step 1, .*"
+                       r"other points, or use the bootstrap"):  # fmt: skip
+        run(boxed(), [0.0, 3.0], 1000)
+    with pytest.raises(pfedu.ZeroLikelihoodError, match=r"step 1, run \[1\]: no particle's look-ahead point"):
+        run(boxed(), [[[0.0], [0.0]], [[0.0], [3.0]]], 1000)
+
+
+def test_a_run_that_sees_nothing_leaves_the_others_alone():
+    """Catches one run's empty look ahead in the weights of another that resamples."""
+
+    def policy(n_eff, n, count):
+        return np.broadcast_to([True, False], np.shape(n_eff))
+
+    track = run(boxed(), [[[0.0], [0.0]], [[0.0], [3.0]]], 1000, policy=policy)
+    assert track.resampled.tolist() == [[True, True], [False, False]]
+    np.testing.assert_allclose(track.mean[:, 1, 0], [0.0, 3.0], atol=1.0)
+    assert np.isfinite(track.log_likelihood).all()
 
 
 @every_look
@@ -427,7 +479,7 @@ def test_a_missing_piece_is_named():
     [
         (lambda k, x: x[..., :1, :], ValueError, r"step 1: looking ahead must give one value .* shape \(5,\), it gave"),
         (lambda k, x: x + NAN, ValueError, "step 1: .*log weight nan at index"),
-        (lambda k, x: x + 1e200, pfedu.ZeroLikelihoodError, "step 1: every particle has likelihood zero"),
+        (lambda k, x: x + 1e200, pfedu.ZeroLikelihoodError, "step 1: no particle's look-ahead point can explain"),
     ],
     ids=["shape", "NaN", "far away"],
 )

@@ -405,7 +405,7 @@ def test_a_grid_of_two_tracks():
     assert {np.shape(t.log_likelihood) for t in tracks} == {()}
 
 
-@pytest.mark.parametrize("n", [0, -5, 2.5])
+@pytest.mark.parametrize("n", [0, -5, 2.5, np.inf, NAN])
 def test_a_number_of_particles_that_is_none_is_an_error(n):
     """Catches a mean over nothing."""
     with pytest.raises(ValueError, match="n_particles must be a whole number of at least 1"):

@@ -91,6 +91,26 @@ def test_averages_over_measurements(K):
         assert quantity() == pytest.approx(over_measurements(quantity), rel=1e-9)
 
 
+@pytest.mark.parametrize("K", [0.0, 0.1, 0.5, 0.99])
+@pytest.mark.parametrize("power", [1e-320, 1e-16, -1e-16, 1e-12, -1e-9])
+def test_a_power_near_zero_is_the_geometric_mean(K, power):
+    """Catches 1 - 2pK/(1+K) that rounds to 1: a power of 1e-16 then gives 2.01 where the limit is 1.61.
+
+    log growth differs from its limit by p (K/(1+K))^2 to first order, and by rounding.
+    """
+    c = K / (1 + K)
+    assert np.log(Proposal(K).growth(power) / Proposal(K).growth()) == pytest.approx(power * c * c, abs=1e-15)
+
+
+def test_numbers_beyond_a_double_are_infinite():
+    """Catches a division by an underflowed share, with its warning, and an end that comes too early."""
+    p = Proposal(0.9)
+    with np.errstate(all="raise", under="ignore"):
+        assert p.particles_for_n_eff(100, [10, 2000])[1] == p.particles_for_error(0.1, 2000) == np.inf
+    n_x = int(np.log(1e308 / 100) / np.log(p.growth()))  # the last that has a number
+    assert np.log10(p.particles_for_n_eff(100, n_x)) == pytest.approx(2 + n_x * np.log10(p.growth()), rel=1e-12)
+
+
 def test_a_mean_that_does_not_exist():
     """Catches a power mean past its pole, where the formula gives a number and the integral has none."""
     assert Proposal(0.6).growth(1.3) < np.inf == Proposal(0.6).growth(1.4)
@@ -372,6 +392,7 @@ def test_runs_and_shapes():
     ("call", "message"),
     [
         (lambda: Proposal(1.0), "at least 0 and below 1, got 1.0"),
+        (lambda: Proposal(0.5).growth(np.nan), "power must be a finite number, got nan"),
         (lambda: Proposal(-0.1), "got -0.1"),
         (lambda: Proposal(np.nan), "got nan"),
         (lambda: Proposal(0.5, fresh=1.1), "fresh is a share, from 0 to 1, got 1.1"),

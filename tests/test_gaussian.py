@@ -48,6 +48,17 @@ def test_a_negative_variance_is_an_error_beside_large_ones(cov):
         sqrt_cov(cov)
 
 
+@pytest.mark.parametrize("other", [0.0, 1.0])
+def test_a_covariance_with_what_does_not_vary_is_an_error(other):
+    """Catches a tolerance that turns an indefinite matrix into another one: |cov| <= sd sd leaves no room here."""
+    with pytest.raises(
+        ValueError, match="P0 is not positive semi-definite: a variance of zero has the covariance 1e-11"
+    ):
+        sqrt_cov([[0.0, 1e-11], [1e-11, other]], "P0")
+    with pytest.raises(ValueError, match="a variance of zero"):
+        sqrt_cov([np.eye(2), [[0.0, 1e-11], [1e-11, other]]])
+
+
 def test_one_bad_covariance_in_a_batch_is_an_error():
     """Catches a tolerance taken from the largest covariance of the batch."""
     with pytest.raises(ValueError, match="not positive semi-definite"):
@@ -147,6 +158,15 @@ def test_log_density_of_an_indefinite_covariance_is_an_error():
     """Catches a NaN returned as a likelihood."""
     with pytest.raises(ValueError, match="not positive definite"):
         log_density([0.0, 0.0], [0.0, 0.0], [[1.0, 2.0], [2.0, 1.0]])
+
+
+@pytest.mark.parametrize("bad", [0.0, -3.0, np.nan])
+def test_of_many_covariances_a_message_shows_the_bad_one(bad):
+    """Catches a message with a matrix for each of 100 000 particles, and one that names none."""
+    cov = np.ones((1000, 1, 1))
+    cov[700] = bad
+    with pytest.raises(ValueError, match=rf"the proposal .*: \[\[{bad}\]\]$"):
+        log_density(np.zeros((1000, 1)), 0.0, cov, "the proposal")
 
 
 def test_noise_is_one_covariance():

@@ -208,3 +208,15 @@ def test_a_certain_state_measured_without_noise_is_an_error():
     """Catches 'Singular matrix' from three calls down."""
     with pytest.raises(ValueError, match="S = H P H' \\+ R is singular"):
         kalman_filter(random_walk(q=0.0, r=0.0, p0=0.0), [[1.0]])
+
+
+@pytest.mark.parametrize("run", [kalman_filter, pfedu.extended_kalman_filter])
+def test_a_skipped_measurement_does_not_stop_the_other_records(run):
+    """Catches S of a record that is not corrected: after y_0 without noise nothing is left to correct."""
+    model = LinearGaussian(1.0, 1.0, Q=0.0, R=0.0, m0=0.0, P0=1.0)
+    records = np.array([[[1.0], [np.nan]], [[np.nan], [2.0]], [[np.nan], [np.nan]]])
+    track = run(model, records)
+    for i, y in enumerate(records):
+        alone = run(model, y)
+        for field in ("mean", "cov", "log_likelihood_increments"):
+            np.testing.assert_array_equal(getattr(track, field)[i], getattr(alone, field))

@@ -379,6 +379,13 @@ def test_a_singular_process_noise_is_an_error():
         run(model, [1.0], 10)
 
 
+@pytest.mark.parametrize("options", [dict(proposal="ekf"), dict(proposal="ukf"), dict(defensive=0.1)])
+def test_a_measurement_without_noise_is_an_error(options):
+    """Catches 'cov is not positive definite' with a matrix for each particle: what to change is R."""
+    with pytest.raises(ValueError, match=r"R is singular, the proposal has no density to weigh by: \[\[0.0\]\]$"):
+        run(LinearGaussian(1.0, 1.0, Q=1.0, R=0.0, m0=0.0, P0=1.0), [NAN, 1.0], 10, **options)
+
+
 @pytest.mark.parametrize(
     ("model", "message"),
     [

@@ -237,10 +237,37 @@ def test_a_negative_number_of_steps_is_an_error():
 
 def test_no_runs_and_a_seed_for_a_generator_are_errors():
     """Catches one run where none was asked for, and 'int has no attribute spawn'."""
-    with pytest.raises(ValueError, match="n_runs at least 1, got 3 and 0"):
+    with pytest.raises(ValueError, match="n_runs must be a whole number of at least 1, got 0"):
         random_walk().simulate(3, np.random.default_rng(1), n_runs=0)
     with pytest.raises(TypeError, match=r"default_rng\(1\); got 1"):
         random_walk().simulate(3, 1)
+
+
+@pytest.mark.parametrize(("name", "number"), [*((n, v) for n in ("n_steps", "n_runs") for v in (2.5, np.nan, np.inf))])
+def test_numbers_that_are_not_whole_are_errors(name, number):
+    """Catches "'float' object cannot be interpreted as an integer", and half a step left out in silence."""
+    with pytest.raises(ValueError, match=f"{name} must be a whole number of at least [01], got {number}"):
+        random_walk().simulate(**{"n_steps": 3, "n_runs": 2, name: number}, rng=np.random.default_rng(1))
+    assert random_walk().simulate(3e0, np.random.default_rng(1), n_runs=2.0)[0].shape == (2, 4, 1)
+
+
+def test_states_may_be_lists():
+    """Catches 'list has no attribute shape' one step after the function that gave a list."""
+
+    def made(back):
+        return StateSpaceModel(
+            sample_initial=lambda n, rng: back(rng.standard_normal((n, 1))),
+            propagate=lambda k, x, rng: back(x + rng.standard_normal(x.shape)),
+            log_likelihood=lambda k, y, x: -((y - x) ** 2)[..., 0],
+            measure=lambda k, x, rng: x,
+        )
+
+    lists, arrays = made(np.ndarray.tolist), made(np.asarray)
+    seed = np.random.default_rng
+    np.testing.assert_array_equal(lists.simulate(3, seed(1))[0], arrays.simulate(3, seed(1))[0])
+    y = [0.0, np.nan, 1.0, 2.0]
+    tracks = [bootstrap_filter(model, y, 10, rng=seed(1)) for model in (lists, arrays)]
+    np.testing.assert_array_equal(tracks[0].mean, tracks[1].mean)
 
 
 @pytest.mark.parametrize("m0", [[[0.0], [10.0]], [0.0, np.nan]])
@@ -272,6 +299,17 @@ def test_ratio_is_what_it_says():
     assert np.isposinf(at_the_pole).all() and ratio().log_likelihood(1, np.zeros(1), at_the_pole).tolist() == [-np.inf]
     with pytest.raises(ValueError, match="power must be 3 or 2, got 4"):
         ratio(power=4)
+
+
+@pytest.mark.parametrize(("power", "limit"), [(3, 0.0), (2, 1.0)])
+def test_ratio_comes_back_from_infinity(power, limit):
+    """Catches inf / inf: what was at the pole, or is so far away that its square overflows, goes to the limit."""
+    model, x = ratio(power=power), np.array([[np.inf], [-np.inf], [1e200], [-1e60], [1e49]])
+    with np.errstate(all="raise", under="ignore"):
+        np.testing.assert_allclose(model.f(2, x), np.full((5, 1), limit), atol=1e-48)
+        np.testing.assert_allclose(model.jacobian_f(2, x), np.zeros((5, 1, 1)), atol=1e-48)
+        assert not np.isnan(model.jacobian_f(2, np.array([[-1.0]]))).any()
+        assert model.f(2, model.f(1, np.array([[-1.0]]))).tolist() == [[0.0 if power == 3 else 0.2]]
 
 
 def test_stochastic_volatility_in_the_long_run():

@@ -354,6 +354,7 @@ def test_initialize_starts_afresh():
     [
         (dict(n_particles=0, mean=0.0, cov=1.0), ValueError, "whole number of at least 1, got 0"),
         (dict(n_particles=2.5, mean=0.0, cov=1.0), ValueError, "got 2.5"),
+        (dict(n_particles=np.inf, mean=0.0, cov=1.0), ValueError, "whole number of at least 1, got inf"),
         (dict(n_particles=5), TypeError, "either mean and cov, or bounds"),
         (dict(n_particles=5, mean=0.0), TypeError, "either mean and cov, or bounds"),
         (dict(n_particles=5, mean=0.0, cov=1.0, bounds=[[0, 1]]), TypeError, "either mean and cov, or bounds"),
@@ -831,6 +832,25 @@ def test_a_failed_call_changes_nothing(bad, error, message):
         np.testing.assert_array_equal(mine[1], other[1])
 
 
+def test_a_failed_call_spawns_nothing():
+    """Catches random numbers that are put back without the children that were spawned off them."""
+    broken = False
+
+    def spawns(x, rng):
+        moved = x + rng.spawn(1)[0].standard_normal(x.shape) + rng.standard_normal()
+        return moved[:-1] if broken else moved
+
+    pf, smooth = new(spawns), new(spawns)
+    broken = True
+    before = pf.snapshot()
+    with pytest.raises(ValueError, match="transition gave"):
+        pf.predict()
+    assert pf.snapshot() == before
+    broken = False
+    for _ in range(2):
+        np.testing.assert_array_equal(pf.predict()[0], smooth.predict()[0])
+
+
 def test_errors_speak_of_columns_by_columns():
     """Catches a message that tells a reader of columns about rows."""
     pf = new(lambda x, rng: x.T, lambda x, y: np.ones((7, 1)), orientation="column")
@@ -1037,12 +1057,23 @@ def test_a_snapshot_keeps_children_of_the_generators_apart():
 
 
 def test_weights_of_zero_survive_a_snapshot():
-    """Catches -inf that JSON or a check does not let through."""
+    """Catches -inf that JSON in the strict sense, or a check, does not let through."""
     pf = placed([[0.0], [1.0], [2.0]], [1.0, 1.0, 1.0])
     pf.correct([0.0, 1.0, 1.0])
     later = placed(np.zeros((3, 1)), [1, 1, 1])
-    later.restore(json.loads(json.dumps(pf.snapshot())))
+    later.restore(json.loads(json.dumps(pf.snapshot(), allow_nan=False)))
     np.testing.assert_array_equal(later.weights, pf.weights)
+    assert later.snapshot() == pf.snapshot()
+    with pytest.raises(ZeroLikelihoodError):  # not a weight of 1e-308 that a likelihood brings back
+        later.correct([1.0, 0.0, 0.0])
+
+
+def test_whole_numbers_in_a_snapshot_are_numbers():
+    """Catches a program that writes 1.0 as 1, as those in JavaScript do: integers would stay integers."""
+    pf = placed([[0.0], [1.0]], [1.0, 1.0])
+    saved = pf.snapshot() | {"x": [[0], [1]], "log_likelihood": 0}
+    pf.restore(saved)
+    assert pf.particles.dtype == float
 
 
 @pytest.mark.parametrize(
@@ -1054,6 +1085,17 @@ def test_weights_of_zero_survive_a_snapshot():
         (lambda s: s.update(x=s["x"][0]), "snapshot's x does not fit"),
         (lambda s: s.update(circular=[True]), "snapshot's circular does not fit"),
         (lambda s: s.update(orientation="up"), "snapshot's orientation must be 'row' or 'column'"),
+        (lambda s: s.update(log_w=[0.0] * 20), "snapshot's log_w is not normalised: its weights sum to 20"),
+        (lambda s: s.update(log_w=[1000.0] * 20), "snapshot's log_w holds what is no finite number"),
+        (lambda s: s.update(log_w_weighed=[NAN] * 20), "snapshot's log_w_weighed holds what is no finite number"),
+        (lambda s: s.update(x=[[NAN, 0.0]] * 20), "snapshot's x holds what is no finite number"),
+        (lambda s: s.update(x_weighed=[[-np.inf, 0.0]] * 20), "snapshot's x_weighed holds what is no finite number"),
+        (lambda s: s.update(x=[["0", "0"]] * 20), "snapshot's x holds what is no finite number"),
+        (lambda s: s.update(circular=[0, 1]), "circular must be 2 times True or False"),
+        (lambda s: s.update(k=-1), "snapshot's k cannot be -1"),
+        (lambda s: s.update(corrections=1.5), "snapshot's corrections cannot be 1.5"),
+        (lambda s: s.update(log_likelihood=NAN), "snapshot's log_likelihood cannot be nan"),
+        (lambda s: s.update(resampled="no"), "snapshot's resampled cannot be 'no'"),
         (lambda s: s.update(rng_move="{}"), "snapshot's generator is damaged"),
         (lambda s: s.update(rng_pick=s["rng_pick"].replace("PCG64", "Generator")), "snapshot's generator is damaged"),
     ],

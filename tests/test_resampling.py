@@ -76,12 +76,13 @@ def test_equal_weights_give_equal_chances(resample):
     assert (np.abs(counts.mean(axis=0) - 1) <= bound).all()
 
 
+@pytest.mark.parametrize("dtype", [np.float64, np.float32])
 @pytest.mark.parametrize("name", ["residual", "stratified", "systematic"])
-def test_equal_weights_are_each_copied_once(name):
+def test_equal_weights_are_each_copied_once(name, dtype):
     """Catches N w = 0.999... rounded down to no copy at all: such a residual scheme is multinomial."""
     wrong = []
     for n in range(1, 200):
-        ancestors = SCHEMES[name](np.full(n, 1 / n), np.random.default_rng(13))
+        ancestors = SCHEMES[name](np.full(n, 1 / n, dtype), np.random.default_rng(13))
         if ancestors.tolist() != list(range(n)):
             wrong.append(n)
     assert wrong == []

@@ -40,13 +40,21 @@ def test_the_record_is_left_as_it_was():
         ([[1.0, 2.0]], 1, r"shape \(\.\.\., T\+1, 1\), one row a time step; got \(1, 2\)"),
         ([1.0, 2.0], 2, r"shape \(\.\.\., T\+1, 2\), one row a time step; got \(2,\)"),
         (1.0, 1, r"got \(\)"),
+        (np.ma.array([1.0, 1e6], mask=[0, 1]), 1, r"masked values.*\.filled\(np\.nan\)"),
         (np.empty((0, 1)), 1, r"got \(0, 1\)"),
     ],
 )
 def test_bad_records_are_named(record, n_y, message):
-    """Catches a half-missing row taken for a whole one, and a transposed record."""
+    """Catches a half-missing row taken for a whole one, a transposed record, and a mask that is lost."""
     with pytest.raises(ValueError, match=message):
         read_record(record, n_y)
+
+
+def test_a_masked_array_is_read_as_its_error_says():
+    """Catches advice that does not work, also for whole numbers, and an error about a mask that hides nothing."""
+    record = np.ma.array([1, 10**6], mask=[0, 1])
+    assert read_record(record.astype(float).filled(np.nan), 1)[1].tolist() == [False, True]
+    assert read_record(np.ma.array([1.0, 2.0]), 1)[0].tolist() == [[1.0], [2.0]]
 
 
 def test_totals_and_standard_deviations_come_from_the_fields():

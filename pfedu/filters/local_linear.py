@@ -50,7 +50,7 @@ def local_linear_filter(model, y, n_particles, *, rng, proposal="ekf", carry=Fal
     MissingPieceError
         If the model has no functions f and h with Gaussian noise, or no transition density.
     ValueError
-        If an option is none of these, or Q is singular; and as in
+        If an option is none of these, or Q or R is singular; and as in
         :func:`~pfedu.filters.bootstrap.bootstrap_filter`.
     ZeroLikelihoodError
         As in :func:`~pfedu.filters.bootstrap.bootstrap_filter`.
@@ -98,6 +98,8 @@ def _updates(model, proposal, defensive):
     require(model, "log_transition", "local linearisation")
     if model.w.is_singular:
         raise ValueError(f"Q is singular, so that the step has no density to weigh by: {model.Q.tolist()}")
+    if model.v.is_singular:
+        raise ValueError(f"R is singular, the proposal has no density to weigh by: {model.R.tolist()}")
     if proposal not in PROPOSALS:
         raise ValueError(f"proposal must be one of {', '.join(PROPOSALS)}, got {proposal!r}")
     if not 0 <= defensive <= 1:
@@ -108,10 +110,10 @@ def _updates(model, proposal, defensive):
 def _defended(model, k, x, new, m, cov, share, rng):
     """Replace a share of the draws by draws of the transition; log density of the mixture at all of them."""
     if share == 0:
-        return new, log_density(new, m, cov)
+        return new, log_density(new, m, cov, "the proposal")
     swap = rng.random(x.shape[:-1]) < share
     new = np.where(swap[..., None], model.propagate(k, x, rng), new)
     # a share of one leaves log 0 to the proposal; a run whose measurement is missing has no proposal, but NaN
     with np.errstate(divide="ignore", invalid="ignore"):
-        log_parts = np.log1p(-share) + log_density(new, m, cov), np.log(share) + model.log_transition(k, new, x)
-        return new, np.logaddexp(*log_parts)
+        log_proposal = np.log1p(-share) + log_density(new, m, cov, "the proposal")
+        return new, np.logaddexp(log_proposal, np.log(share) + model.log_transition(k, new, x))

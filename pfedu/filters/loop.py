@@ -43,7 +43,8 @@ class Algorithm:
         ``(k, x, rng) -> x``: a step without a measurement; the model's ``propagate`` by default.
     look_ahead : callable, optional
         ``(k, y, x, rng) -> (..., N)``: log of what the measurement of time k says of particles of time k-1. Weights
-        are multiplied by it for the time of resampling, and divided by it afterwards.
+        are multiplied by it for the time of resampling, and divided by it afterwards. A filter that looks ahead may
+        resample before a correction as well as after one: each step next to a measurement is one occasion.
     perturb : callable, optional
         ``(x, before, log_w, rng) -> x``: what happens to particles that were just resampled from ``before``, which
         had the normalised log weights ``log_w``.
@@ -100,7 +101,8 @@ def particle_filter(algorithm, model, y, n_particles, *, rng, resampling, policy
         A scheme of :mod:`pfedu.resampling`.
     policy : callable
         When to resample: :class:`~pfedu.resampling.ratio` or :class:`~pfedu.resampling.interval`. A filter that
-        looks ahead asks it with the weights that look ahead.
+        looks ahead asks it with the weights that look ahead (with the plain ones in a run where none is left), and
+        counts occasions, with a measurement of this time or the next, in place of corrections.
     keep : bool
         Keep particles, log weights and ancestors of each step.
     n_runs : int, optional
@@ -115,7 +117,8 @@ def particle_filter(algorithm, model, y, n_particles, *, rng, resampling, policy
     ValueError
         If an argument has the wrong shape or value.
     ZeroLikelihoodError
-        If no particle of a run can explain a measurement; the message gives the step.
+        If no particle of a run can explain a measurement, or none that looks ahead where resampling is due; the
+        message gives the step.
 
     Examples
     --------
@@ -142,9 +145,8 @@ def particle_filter(algorithm, model, y, n_particles, *, rng, resampling, policy
     np.empty(30_000_000, dtype=np.uint8)
     x = (algorithm.start or _from_prior(model))(runs, n_particles, rng_move)
     log_w = np.full((*runs, n_particles), -np.log(n_particles))
-    ancestors = _themselves(log_w.shape)
-    count = np.zeros(runs, dtype=int)  # corrections so far
-    steps = []
+    ancestors, steps = _themselves(log_w.shape), []
+    count = np.zeros(runs, dtype=int)  # occasions to resample so far
     for k in range(y.shape[-2]):
         # Propose and weigh
         x, log_g = advance(algorithm, model, k, y[..., k, :], missing[..., k], x, log_w.shape, rng_move)
@@ -157,12 +159,13 @@ def particle_filter(algorithm, model, y, n_particles, *, rng, resampling, policy
         step = (*algorithm.estimate(x, log_w, w), increment, n_eff)
         kept = (algorithm.states(x), log_w, ancestors) if keep else (None, None, None)
         # Resample, by the weights and by what the next measurement says if the filter looks ahead
-        count, news, ahead = count + ~missing[..., k], ~missing[..., k], None
+        news, ahead, blind = ~missing[..., k], None, False
         if algorithm.look_ahead and k + 1 < y.shape[-2]:
-            ahead = foresee(algorithm, k + 1, y[..., k + 1, :], missing[..., k + 1], x, rng_own)
             news = news | ~missing[..., k + 1]
-            n_eff = effective_sample_size(reweight(log_w, ahead, k + 1)[0])
-        due = policy(n_eff, n_particles, count) & news
+            ahead = foresee(algorithm, k + 1, y[..., k + 1, :], missing[..., k + 1], x, rng_own)
+            ahead, blind, n_eff = _first_stage(log_w, ahead, k + 1)
+        count = count + news
+        due = _sighted(policy(n_eff, n_particles, count) & news, blind, k + 1)
         x, log_w, ancestors = _resampled(algorithm, x, log_w, due, pick, (rng_pick, rng_own), ahead, w)
         steps.append((*step, due, *kept))
     return _track(steps, len(runs))
@@ -219,6 +222,7 @@ def advance(algorithm, model, k, y, missing, x, shape, rng):
             new = _where(missing, predict(k, x, rng), new)
     if not isinstance(x, tuple) and np.shape(new) != x.shape:
         raise ValueError(f"step {k}: propagate must keep the shape {x.shape} of the particles, it gave {np.shape(new)}")
+    new = new if isinstance(x, tuple) else np.asarray(new)
     if np.shape(log_g) != shape:
         raise ValueError(f"step {k}: log_likelihood must give one value a particle, shape {shape}, "
                          f"it gave {np.shape(log_g)}")  # fmt: skip
@@ -307,6 +311,24 @@ def reweight(log_w, log_g, k):
         raise ValueError(f"step {k}: log_likelihood gave a value that is no weight ({error})") from error
 
 
+def _first_stage(log_w, ahead, k):
+    """The look ahead, the runs in which it leaves no particle, and N_eff; there it says nothing instead."""
+    blind = np.isneginf(np.max(log_w + ahead, axis=-1))
+    ahead = _where(blind, np.zeros(ahead.shape), ahead)
+    return ahead, blind, effective_sample_size(reweight(log_w, ahead, k)[0])
+
+
+def _sighted(due, blind, k):
+    """Which runs are due, if all of them have something to resample by."""
+    if np.any(due & blind):
+        run = np.argwhere(due & blind)[0].tolist()
+        raise ZeroLikelihoodError(
+            f"step {k}{f', run {run}' if run else ''}: no particle's look-ahead point can explain the measurement of "
+            f"step {k}, so that none can be resampled by it: look ahead to other points, or use the bootstrap filter"
+        )
+    return due
+
+
 def resample(x, log_w, due, pick, rng, ahead=None, w=None):
     r"""Resample the runs that are due; the others keep particles and weights.
 
@@ -366,9 +388,9 @@ def resample(x, log_w, due, pick, rng, ahead=None, w=None):
             f"resampling must give whole numbers of shape {log_w.shape}, it gave {picked.dtype} {picked.shape}"
         )
     ancestors = picked if due.all() else _where(due, picked, _themselves(log_w.shape))
-    new = np.full(log_w.shape, -np.log(n))
+    new = np.broadcast_to(-np.log(n), log_w.shape)
     if ahead is not None:
-        new += total[..., None] - np.take_along_axis(ahead, picked, axis=-1)
+        new = new + total[..., None] - np.take_along_axis(ahead, picked, axis=-1)
     return _each(lambda part: _select(part, ancestors), x), _where(due, new, log_w), ancestors
 
 
@@ -419,7 +441,7 @@ def _check(algorithm, model, y, n_particles, n_runs, policy):
     for piece in (name for name, instead in needs.items() if instead is None):
         require(model, piece, "a particle filter")
     for name, value in {"n_particles": n_particles, "n_runs": 1 if n_runs is None else n_runs}.items():
-        if not (value >= 1 and value == int(value)):
+        if not (1 <= value < np.inf and value == int(value)):
             raise ValueError(f"{name} must be a whole number of at least 1, got {value}")
     y, missing = read_record(y, model.n_y)
     if n_runs is not None:

@@ -91,7 +91,7 @@ def growth(q=10.0, r=1.0, p0=5.0, phase=0):
     """
 
     def f(k, x):
-        return x / 2 + 25 * x / (1 + x * x) + 8 * np.cos(1.2 * (k - phase))
+        return x * (0.5 + 25 / (1 + x * x)) + 8 * np.cos(1.2 * (k - phase))
 
     def slope(k, x):
         return (0.5 + 25 * (1 - x * x) / (1 + x * x) ** 2)[..., None]
@@ -105,8 +105,9 @@ def ratio(q=0.1, r=1.0, p0=10.0, power=3):
 
     .. math:: x_k = \frac{x_{k-1}^2}{1 + x_{k-1}^n} + N(0, q), \qquad y_k = x_k + N(0, r), \qquad x_0 \sim N(0, p_0)
 
-    With n = 3 the motion has a pole at -1: a particle that comes near it is thrown far away. With n = 2
-    it has none. The lecture prints one where its code has the other (Crassidis, lecture 19, "Example").
+    With n = 3 the motion has a pole at -1: a particle that comes near it is thrown far away, from where it
+    comes back to 0. With n = 2 it has none. The lecture prints one where its code has the other (Crassidis,
+    lecture 19, "Example").
 
     Parameters
     ----------
@@ -135,11 +136,19 @@ def ratio(q=0.1, r=1.0, p0=10.0, power=3):
         raise ValueError(f"the denominator is 1 + x^3, or 1 + x^2 without a pole: power must be 3 or 2, got {power}")
 
     def f(k, x):
+        far, near = split(x)
         with np.errstate(divide="ignore"):  # at the pole itself: infinitely far, where nothing is ever measured
-            return x * x / (1 + x**power)
+            return np.where(far, np.where(far, x, 1.0) ** (2.0 - power), near * near / (1 + near**power))
 
     def slope(k, x):
-        return ((2 * x + (2 - power) * x ** (power + 1)) / (1 + x**power) ** 2)[..., None]
+        far, x = split(x)
+        with np.errstate(divide="ignore"):
+            return np.where(far, 0.0, (2 * x + (2 - power) * x ** (power + 1)) / (1 + x**power) ** 2)[..., None]
+
+    def split(x):
+        """Where a particle is so far away that powers overflow, although their ratio has a limit, and the others."""
+        far = np.abs(x) > 1e50
+        return far, np.where(far, 0.0, x)
 
     return AdditiveGaussian(f=f, h=1.0, Q=q, R=r, m0=0.0, P0=p0, jacobian_f=slope)
 

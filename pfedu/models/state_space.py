@@ -95,12 +95,14 @@ class StateSpaceModel:
             If a number of steps or runs is no such number, or ``x0`` is no state of the model.
         """
         require(self, "measure", "simulating measurements")
-        if n_steps < 0 or (n_runs is not None and n_runs < 1):
-            raise ValueError(f"n_steps must be at least 0 and n_runs at least 1, got {n_steps} and {n_runs}")
+        for name, least, value in (("n_steps", 0, n_steps), ("n_runs", 1, 1 if n_runs is None else n_runs)):
+            if not (least <= value < np.inf and value == int(value)):
+                raise ValueError(f"{name} must be a whole number of at least {least}, got {value}")
+        n = int(n_runs or 1)
         rng_x, rng_y = streams(rng, 2)
-        x = [self.sample_initial(n_runs or 1, rng_x) if x0 is None else self._starts(x0, n_runs or 1)]  # (runs, n_x)
-        for k in range(1, n_steps + 1):
-            x.append(self.propagate(k, read_only(x[-1]), rng_x))
+        x = [np.asarray(self.sample_initial(n, rng_x) if x0 is None else self._starts(x0, n))]  # (runs, n_x)
+        for k in range(1, int(n_steps) + 1):
+            x.append(np.asarray(self.propagate(k, read_only(x[-1]), rng_x)))
         y = [self.measure(k, x_k, rng_y) for k, x_k in enumerate(x)]
         x, y = np.stack(x, axis=1), np.stack(y, axis=1)  # (runs, T+1, n)
         return (x, y) if n_runs else (x[0], y[0])
