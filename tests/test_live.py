@@ -38,6 +38,27 @@ def test_jupyter_moves_every_control(name):
         widget.value = control.default
 
 
+def test_jupyter_lets_time_run():
+    """A play button that is tied to nothing, or to the wrong end."""
+    host = explore("sir")
+    play = next(w for box in host.children for w in getattr(box, "children", ()) if hasattr(w, "playing"))
+    assert (play.value, play.max) == (host.controls["k"].index, len(host.controls["k"].options) - 1)
+    host.controls["k"].index = 7  # what the front end does with the button's value
+    assert "At step 7" in host.shown.sentence
+
+
+def test_jupyter_marks_a_puzzle_as_solved_and_keeps_the_mark():
+    name = next(name for name in names() if load(name).puzzles)
+    host, puzzle = explore(name), load(name).puzzles[0]
+    assert "Puzzle" in host.puzzles[0].value
+    for control, value in puzzle.answer.items():
+        host.controls[control].value = value
+    assert "Solved" in host.puzzles[0].value and puzzle.text.split()[0] in host.puzzles[0].value
+    for control in puzzle.answer:
+        host.controls[control].value = load(name).defaults()[control]
+    assert "Solved" in host.puzzles[0].value
+
+
 def test_jupyter_draws_what_the_stage_draws():
     host = explore("sir", N=100, model="random walk")
     pixels, shown = Stage(load("sir")).draw(load("sir").check({"N": 100, "model": "random walk"}))
@@ -109,7 +130,8 @@ def test_worker_draws_what_the_stage_draws():
     params = {c.name: c.values[positions[c.name]] for c in explorer.controls}
     again, shown = Stage(explorer, "narrow").draw(params)
     np.testing.assert_array_equal(pixels, again)
-    assert json.loads(words) == {"sentence": shown.sentence, "numbers": shown.numbers}
+    solved = explorer.solved(params, shown)
+    assert json.loads(words) == {"sentence": shown.sentence, "numbers": shown.numbers, "solved": solved}
 
 
 def test_frames_are_of_the_position_they_are_named_for(tmp_path):
@@ -119,7 +141,7 @@ def test_frames_are_of_the_position_they_are_named_for(tmp_path):
     for moved in ({}, {"k": 50}, {"scheme": "residual"}, {"N": 10}, {"model": "random walk", "r": 20.0}):
         key = explorer.key(start, start | moved)
         pixels, shown = stage.draw(start | moved)
-        assert tuple(drawn["frames"][key]) == (shown.sentence, shown.numbers)
+        assert drawn["frames"][key] == (shown.sentence, shown.numbers, explorer.solved(start | moved, shown))
         saved = (tmp_path / f"wide-{key}.png").read_bytes()
         np.testing.assert_array_equal(_picture(saved), _picture(small_png(pixels)))
     for control in explorer.controls:  # a first drag finds a frame wherever it goes, both ends included

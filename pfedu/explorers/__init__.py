@@ -9,9 +9,9 @@ from importlib import import_module
 from pkgutil import iter_modules
 
 from pfedu.explorers.controls import Choice, Seed, Slider
-from pfedu.explorers.explorer import Explorer, Shown
+from pfedu.explorers.explorer import Explorer, Puzzle, Shown
 
-__all__ = ["Choice", "Explorer", "Seed", "Shown", "Slider", "load", "names"]
+__all__ = ["Choice", "Explorer", "Puzzle", "Seed", "Shown", "Slider", "load", "names"]
 
 _PARTS = {"controls", "explorer", "stage"}  # what explorers are made of, not explorers
 

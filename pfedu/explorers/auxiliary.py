@@ -23,7 +23,7 @@ CONTROLS = (
     Slider("outlier", f"outlier at step {OUTLIER}, standard deviations of the sensor", range(9), 6),
     Slider("N", "particles N", geometric(10, 2000, 24), 500, drawn=6),
     Choice("look", "look ahead by", ("mean", "draw", "exact"), "mean"),
-    Slider("k", "time step k", range(1, T + 1), OUTLIER),
+    Slider("k", "time step k", range(1, T + 1), OUTLIER, plays=True),
     Seed("data", "new data", drawn=4),
     Seed("particles", "new particles", default=3, drawn=4),
 )

@@ -48,7 +48,8 @@ class Control:
 class Slider(Control):
     """Positions on a line, in ascending order.
 
-    Up to ``drawn`` positions, evenly spread and with both ends, are drawn beforehand.
+    Up to ``drawn`` positions, evenly spread and with both ends, are drawn beforehand. Where the line
+    is time, ``plays=True`` puts a button beside it that lets time run.
 
     Examples
     --------
@@ -58,6 +59,7 @@ class Slider(Control):
     """
 
     drawn: int = 11
+    plays: bool = False
 
     def frames(self):
         """The positions that are drawn before Python is up, the default among them."""

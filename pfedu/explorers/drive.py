@@ -25,7 +25,7 @@ FACTORS = (0.01, 0.03, 0.1, 0.3, 1.0, 3.0, 10.0, 30.0, 100.0)
 
 CONTROLS = (
     Choice("system", "system", ("oscillator", "heading"), "oscillator"),
-    Slider("k", "time step k", range(T + 1), 60, drawn=21),
+    Slider("k", "time step k", range(T + 1), 60, drawn=21, plays=True),
     Slider("N", "particles N", geometric(10, 5000, 28), 1000, drawn=9),
     Slider("r", "variance r in the likelihood, times that of the measurements", FACTORS[2:], 1.0),
     Slider("q", "variance q of the process noise, times the usual one", FACTORS[:-2], 1.0),

@@ -12,12 +12,32 @@ class Shown:
     ----------
     sentence : str
         What the picture now shows; it is the caption and the text for those who cannot see it.
-    numbers : dict of str to float
-        The figures behind it, in the order in which a table lists them.
+    numbers : dict of str to float or None
+        The figures behind it, in the order in which a table lists them; the same names at every
+        position, and None for what does not exist at this one.
     """
 
     sentence: str
     numbers: dict = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class Puzzle:
+    """A task for the reader that the explorer itself checks.
+
+    Attributes
+    ----------
+    text : str
+        What is to be found; a sentence in the imperative.
+    solved : callable
+        ``(params, numbers) -> bool``: whether it is found where the controls stand now.
+    answer : dict
+        Controls, moved from their defaults, that solve it; shown to nobody, it proves that there is one.
+    """
+
+    text: str
+    solved: Callable
+    answer: dict
 
 
 @dataclass(frozen=True)
@@ -39,6 +59,8 @@ class Explorer:
         ``(artists, axes, **params) -> Shown``: give the artists new data.
     also : tuple of dict
         Combinations that the text asks for, drawn beforehand beside each control moved alone.
+    puzzles : tuple of Puzzle
+        Tasks that are marked as solved when the reader gets there.
 
     Examples
     --------
@@ -61,6 +83,7 @@ class Explorer:
     build: Callable
     update: Callable
     also: tuple = ()
+    puzzles: tuple = ()
 
     def defaults(self):
         """Where all controls start: dict of name to value."""
@@ -90,6 +113,10 @@ class Explorer:
                 raise ValueError(f"control {name!r} has no position {value!r}: choose one of {known[name].values}")
         own = {name: known[name].values[known[name].values.index(value)] for name, value in params.items()}
         return self.defaults() | own  # the control's own value: 500, where 500.0 was given
+
+    def solved(self, params, shown):
+        """Which puzzles are solved at these parameters: list of bool, one a puzzle."""
+        return [bool(puzzle.solved(params, shown.numbers)) for puzzle in self.puzzles]
 
     def beforehand(self, start):
         """Yield what is drawn before Python is up: the start, each control moved alone, and ``also``.

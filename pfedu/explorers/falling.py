@@ -27,7 +27,7 @@ CONTROLS = (
     Choice("kernel", "kernel", ("none", "gaussian", "epanechnikov"), "gaussian"),
     Choice("shrink", "shrinkage", ("no", "yes"), "no"),
     Choice("prior", "prior of the unscented filter", tuple(PRIORS), "the same"),
-    Slider("k", "time step k", range(1, T + 1), 15, drawn=13),
+    Slider("k", "time step k", range(1, T + 1), 15, drawn=13, plays=True),
     Seed("data", "new data", drawn=5),
     Seed("particles", "new particles", drawn=5),
 )

@@ -23,7 +23,7 @@ CONTROLS = (
     Slider("N", "particles N", geometric(10, 2000, 24), 200, drawn=6),
     Slider("r", "measurement noise variance r", geometric(0.01, 10.0, 13), 1.0, drawn=7),
     Slider("defensive", "defensive share", (0.0, 0.02, 0.05, 0.1, 0.2, 0.3, 0.5, 1.0), 0.0, drawn=8),
-    Slider("k", "time step k", range(1, T + 1), 22),
+    Slider("k", "time step k", range(1, T + 1), 22, plays=True),
     Seed("data", "new data", drawn=4),
     Seed("particles", "new particles", drawn=4),
     Seed("which", "another particle of step k−1", drawn=5),

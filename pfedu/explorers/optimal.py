@@ -25,7 +25,7 @@ CONTROLS = (
     Slider("q", "process noise variance q", geometric(0.1, 10.0, 13), 1.0, drawn=7),
     Slider("r", "measurement noise variance r", geometric(0.01, 10.0, 19), 0.01, drawn=10),
     Choice("policy", "resampling policy", tuple(POLICIES), "ratio 0.5"),
-    Slider("k", "time step k", range(1, T + 1), 8),
+    Slider("k", "time step k", range(1, T + 1), 8, plays=True),
     Seed("data", "new data", drawn=4),
     Seed("particles", "new particles", drawn=4),
     Seed("which", "another particle of step k−1", drawn=5),

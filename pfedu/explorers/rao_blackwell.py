@@ -21,7 +21,7 @@ CONTROLS = (
     Slider("N_bs", "particles, bootstrap", geometric(100, 10000, 13), 1000),
     Slider("stay", "probability that the mode stays", (0.5, 0.6, 0.7, 0.8, 0.9, 0.95, 0.99), 0.9),
     Slider("q", "process noise variance q", geometric(0.05, 2.0, 9), 0.5),
-    Slider("k", "time step k", range(1, T + 1), 5),
+    Slider("k", "time step k", range(1, T + 1), 5, plays=True),
     Seed("data", "new data", drawn=4),
     Seed("particles", "new particles", drawn=4),
 )

@@ -27,7 +27,7 @@ CONTROLS = (
     Choice("scheme", "resampling scheme", tuple(sorted(SCHEMES)), "systematic"),
     Choice("policy", "resampling policy", POLICIES, "ratio"),
     Slider("threshold", "threshold of the ratio policy", tuple(i / 10 for i in range(11)), 0.5),
-    Slider("k", "time step k", range(T + 1), 22, drawn=18),
+    Slider("k", "time step k", range(T + 1), 22, drawn=18, plays=True),
     Seed("data", "new data"),
     Seed("particles", "new particles"),
 )

@@ -29,7 +29,7 @@ def render(name, layout, positions):
     -------
     pixels : ndarray of uint8, shape (height, width, 4)
     words : str
-        JSON object with ``sentence`` and ``numbers``.
+        JSON object with ``sentence``, ``numbers`` and ``solved``, which of its puzzles.
 
     Examples
     --------
@@ -41,5 +41,7 @@ def render(name, layout, positions):
     stage = _stage(name, layout)
     controls = {control.name: control for control in stage.explorer.controls}
     params = {key: controls[key].values[position] for key, position in json.loads(positions).items()}
-    pixels, shown = stage.draw(stage.explorer.check(params))
-    return np.ascontiguousarray(pixels), json.dumps({"sentence": shown.sentence, "numbers": shown.numbers})
+    params = stage.explorer.check(params)
+    pixels, shown = stage.draw(params)
+    words = {"sentence": shown.sentence, "numbers": shown.numbers, "solved": stage.explorer.solved(params, shown)}
+    return np.ascontiguousarray(pixels), json.dumps(words)

@@ -50,10 +50,13 @@ class JupyterExplorer(widgets.VBox):
         self.controls = {control.name: _widget(control, params[control.name]) for control in self.explorer.controls}
         self.image = widgets.Image(format="png", layout={"max_width": "100%", "width": "760px"})
         self.sentence = widgets.HTML()
+        self.puzzles = [widgets.HTML() for _ in self.explorer.puzzles]
+        self._solved = set()
         for widget in self.controls.values():
             widget.observe(self._moved, "value")
-        panel = widgets.Box(list(self.controls.values()), layout={"flex_flow": "row wrap", "max_width": "800px"})
-        super().__init__([self.image, self.sentence, panel])
+        boxes = [box for control in self.explorer.controls for box in _play(control, self.controls[control.name])]
+        panel = widgets.Box(boxes, layout={"flex_flow": "row wrap", "max_width": "800px"})
+        super().__init__([self.image, self.sentence, panel, *self.puzzles])
         self.redraw()
 
     @property
@@ -72,6 +75,15 @@ class JupyterExplorer(widgets.VBox):
         self.image.value = quick_png(pixels)
         self.image.alt_text = self.shown.sentence
         self.sentence.value = f"<p>{html.escape(self.shown.sentence)}</p>"
+        self._check_puzzles()
+
+    def _check_puzzles(self):
+        """Mark what is solved; a puzzle stays solved wherever the controls go next."""
+        solved = self.explorer.solved(self.params, self.shown)
+        self._solved |= {i for i, done in enumerate(solved) if done}
+        for i, (puzzle, line) in enumerate(zip(self.explorer.puzzles, self.puzzles, strict=True)):
+            mark = "✓ Solved" if i in self._solved else "Puzzle"
+            line.value = f"<p><b>{mark}:</b> {html.escape(puzzle.text)}</p>"
 
     def _moved(self, _change):
         try:
@@ -103,6 +115,15 @@ def _widget(control, value):
     options = [(control.text(v), v) for v in control.values]
     kind = widgets.Dropdown if isinstance(control, Choice) else widgets.SelectionSlider
     return kind(options=options, value=value, description=control.label, style=style, layout={"width": "380px"})
+
+
+def _play(control, widget):
+    """The widget of a control, with a button before it where time can run."""
+    if not getattr(control, "plays", False):
+        return [widget]
+    button = widgets.Play(value=widget.index, max=len(control.values) - 1, interval=200, show_repeat=False)
+    widgets.jslink((button, "value"), (widget, "index"))
+    return [button, widget]
 
 
 class _SeedButton(widgets.Button):

@@ -95,7 +95,7 @@ def draw_frames(name, start, folder):
     Returns
     -------
     dict
-        ``{layout: {"size": (width, height), "frames": {key: (sentence, numbers)}}}``
+        ``{layout: {"size": (width, height), "frames": {key: (sentence, numbers, solved)}}}``
     """
     layouts = list(load(name).layouts)
     with ProcessPoolExecutor(min(len(layouts), os.cpu_count() or 1)) as pool:
@@ -109,7 +109,7 @@ def _draw_layout(name, start, folder, layout):
         pixels, shown = stage.draw(params)
         key = explorer.key(start, params)
         (folder / f"{layout}-{key}.png").write_bytes(small_png(pixels))
-        frames[key] = (shown.sentence, shown.numbers)
+        frames[key] = (shown.sentence, shown.numbers, explorer.solved(params, shown))
     return {"size": pixels.shape[1::-1], "frames": frames}
 
 
@@ -145,7 +145,7 @@ def _figure(app, docname, name, start):
     explorer = load(name)
     params = explorer.check(start)
     key, drawn = _frames(app, name, start)
-    sentence, numbers = drawn["wide"]["frames"]["start"]
+    sentence, numbers, _ = drawn["wide"]["frames"]["start"]
     files = {
         layout: {"file": f"{layout}-start.png", "width": d["size"][0], "height": d["size"][1]}
         for layout, d in drawn.items()
@@ -155,8 +155,8 @@ def _figure(app, docname, name, start):
         "start": {control.name: control.values.index(params[control.name]) for control in explorer.controls},
         "texts": {c.name: [c.text(value) for value in c.values] for c in explorer.controls},
         "frames": {
-            moved: [words, [float(f"{v:.6g}") for v in values.values()]]
-            for moved, (words, values) in drawn["wide"]["frames"].items()
+            moved: [words, [None if v is None else float(f"{v:.6g}") for v in values.values()], solved]
+            for moved, (words, values, solved) in drawn["wide"]["frames"].items()
         },
     }
     folder = "../" * docname.count("/") + f"_static/explorers/{key}/"

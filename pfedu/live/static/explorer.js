@@ -65,7 +65,7 @@
       this.element = element;
       const find = name => element.querySelector('.pfedu-' + name);
       Object.assign(this, { image: find('poster'), canvas: find('canvas'), sentence: find('sentence'), spoken: find('spoken'),
-                            status: find('status'), form: find('controls'), table: find('numbers tbody') });
+                            status: find('status'), form: find('controls'), table: find('numbers tbody'), puzzles: find('puzzles') });
       this.data = JSON.parse(element.querySelector('script').textContent);
       this.folder = new URL('.', element.querySelector('.pfedu-poster').src).href;
       this.inputs = [...this.form.querySelectorAll('[data-control]')];
@@ -77,11 +77,13 @@
         for (const kind of ['pointerenter', 'focus']) input.addEventListener(kind, () => this.fetchFrames(input.dataset.control));
       }
       this.form.addEventListener('submit', event => event.preventDefault());
-      find('reset').addEventListener('click', () => this.reset());
+      find('reset').addEventListener('click', () => { this.pause(); this.reset(); });
+      element.querySelectorAll('.pfedu-play').forEach(button => button.addEventListener('click', () => this.playOrPause(button)));
       for (const kind of ['pointerenter', 'pointerdown', 'focusin']) this.form.addEventListener(kind, () => python.start());
       python.listeners.push(() => this.pythonChanged());
       narrow.addEventListener('change', () => this.answer());
       this.form.hidden = false;
+      if (this.puzzles) this.puzzles.hidden = false;
       this.inputs.forEach(input => this.label(input));
       this.showFrame();
     }
@@ -98,6 +100,7 @@
     }
 
     move(input) {
+      if (this.playing && this.playing.input !== input) this.pause();
       if (input.type === 'button') { // round again, before Python is up at the last seed that was drawn
         const name = input.dataset.control, all = this.data.texts[name].length;
         const count = python.state === 'ready' ? all : Math.max(...this.drawn(name)) + 1;
@@ -117,7 +120,43 @@
       this.answer();
     }
 
-    answer() { python.state === 'ready' ? this.drawLive() : this.showFrame(); }
+    answer() { return python.state === 'ready' ? this.drawLive() : this.showFrame(); }
+
+    // -- time runs: through every position with Python, through those drawn beforehand without; the next one comes when
+    //    the last is drawn, and not before a pause in which it can be seen
+    playOrPause(button) {
+      if (this.playing) return this.pause();
+      const input = button.closest('.pfedu-control').querySelector('input');
+      if (this.position(input) === Number(input.max)) input.value = 0;
+      this.playing = { button, input };
+      this.face(button, true);
+      python.start();
+      this.fetchFrames(input.dataset.control);
+      this.play(this.playing);
+    }
+
+    async play(turn) {
+      const { input } = turn;
+      while (this.playing === turn) {
+        this.label(input);
+        await Promise.all([this.answer(), new Promise(seen => setTimeout(seen, python.state === 'ready' ? 150 : 450))]);
+        const onward = python.state === 'ready' ? this.position(input) + 1
+          : Math.min(...this.drawn(input.dataset.control).filter(position => position > this.position(input)));
+        if (this.playing !== turn) break;
+        if (onward > Number(input.max)) this.pause();
+        else input.value = onward;
+      }
+    }
+
+    pause() {
+      if (this.playing) this.face(this.playing.button, false);
+      this.playing = null;
+    }
+
+    face(button, pressed) {
+      button.textContent = pressed ? '⏸ Pause' : '▶ Play';
+      button.setAttribute('aria-pressed', pressed);
+    }
 
     pythonChanged() {
       if (python.state === 'ready') this.drawLive();
@@ -168,8 +207,8 @@
           : 'Several controls have been moved: the picture follows as soon as Python is up.';
         return this.say();
       }
-      const [sentence, numbers] = frames[key];
-      this.show('frame', sentence, numbers);
+      const [sentence, numbers, solved] = frames[key];
+      this.show('frame', sentence, numbers, solved);
       this.image.src = this.fileOf(key);
       this.image.alt = sentence;
       this.image.hidden = false;
@@ -205,17 +244,27 @@
       this.canvas.hidden = false;
       this.image.hidden = true;
       this.element.classList.remove('pfedu-stale');
-      this.show('live', words.sentence, Object.values(words.numbers));
+      this.element.shown = words;
+      this.show('live', words.sentence, Object.values(words.numbers), words.solved);
       this.element.dataset.ms = ms.toFixed(1);
     }
 
-    show(state, sentence, numbers) {
+    show(state, sentence, numbers, solved) {
       this.sentence.textContent = sentence;
-      [...this.table.rows].forEach((row, i) => { row.cells[1].textContent = Number(numbers[i].toPrecision(6)); });
+      [...this.table.rows].forEach((row, i) => { row.cells[1].textContent = numbers[i] === null ? '–' : Number(numbers[i].toPrecision(6)); });
+      this.puzzles?.querySelectorAll('li').forEach((item, i) => {
+        if (!solved[i] || item.dataset.solved) return;
+        item.dataset.solved = true; // and stays so, wherever the controls go next
+        item.querySelector('.pfedu-verdict').textContent = '✓ Solved:';
+        this.news = ' Puzzle solved.';
+      });
       this.element.dataset.state = state;
       this.element.dataset.redraws = Number(this.element.dataset.redraws || 0) + 1;
       clearTimeout(this.timer); // read aloud when the hand rests, not at every step of a slider
-      this.timer = setTimeout(() => { if (this.element.dataset.redraws > 1) this.spoken.textContent = sentence; }, 700);
+      this.timer = setTimeout(() => {
+        if (this.element.dataset.redraws > 1) this.spoken.textContent = sentence + (this.news || '');
+        this.news = '';
+      }, 700);
     }
   }
 
