@@ -134,6 +134,8 @@ def test_every_picture_is_there_and_has_words(chromium, book_folder, book):
     for path in all_pages(book_folder):
         with reading(chromium, book) as page:
             page.goto(book + path, wait_until="load")
+            page.evaluate("document.querySelectorAll('article img').forEach(i => { i.loading = 'eager' })")
+            page.wait_for_function("[...document.querySelectorAll('article img')].every(i => i.complete)")
             bad = page.evaluate(
                 "[...document.querySelectorAll('article img')].filter(i => !i.naturalWidth"
                 " || !(i.getAttribute('alt') || '').trim() || /^\\.\\.|_images/.test(i.alt)).map(i => i.src)"
@@ -141,7 +143,7 @@ def test_every_picture_is_there_and_has_words(chromium, book_folder, book):
             assert bad == [], path
 
 
-@pytest.mark.parametrize("width", [390, 1280])
+@pytest.mark.parametrize("width", [390, 640, 1280])  # 640: a desk at 200 %
 def test_no_page_scrolls_sideways(chromium, book_folder, book, width):
     for path in all_pages(book_folder):
         with reading(chromium, book, viewport={"width": width, "height": 800}) as page:
@@ -149,6 +151,31 @@ def test_no_page_scrolls_sideways(chromium, book_folder, book, width):
             page.wait_for_timeout(500)
             over = page.evaluate("document.documentElement.scrollWidth - document.documentElement.clientWidth")
             assert over <= 0, f"{path} is {over} px wider than the screen"
+
+
+def pages_of_the_source():
+    """Every page that is written, by its source: known before the book is built."""
+    listed = re.findall(r"(?:root|file): (\S+)", (BOOK.parent / "_toc.yml").read_text(encoding="utf-8"))
+    return [f"{name}.html" for name in listed] + ["genindex.html", "search.html"]
+
+
+@pytest.mark.parametrize("theme", ["light", "dark"])
+@pytest.mark.parametrize("path", pages_of_the_source())
+def test_nothing_serious_stands_in_the_way_of_anyone(chromium, book, path, theme):
+    """What axe-core finds: names, roles, contrast, order, in both themes."""
+    axe = pytest.importorskip("axe_playwright_python.sync_playwright").Axe()
+    with reading(chromium, book) as page:
+        page.add_init_script(f"localStorage.setItem('mode', '{theme}'); localStorage.setItem('theme', '{theme}')")
+        page.goto(book + path, wait_until="load")
+        page.wait_for_function("!window.MathJax?.startup?.promise || MathJax.startup.promise.then(() => true)")
+        assert page.evaluate("document.documentElement.dataset.theme") == theme
+        found = axe.run(page, options={"resultTypes": ["violations"]}).response["violations"]
+        serious = [
+            f"{v['id']} ({v['impact']}, {len(v['nodes'])} times): {v['help']}: {v['nodes'][0]['html'][:150]}"
+            for v in found
+            if v["impact"] in {"serious", "critical"}
+        ]
+        assert not serious, "\n".join(serious)
 
 
 # ---- before any script, and without Python ------------------------------------------------------------------------
@@ -347,9 +374,9 @@ def _native_numbers_are_shown(page, name):
     assert list(page_numbers) == list(native["numbers"])
     assert list(page_numbers.values()) == pytest.approx(list(native["numbers"].values()), rel=1e-8, abs=1e-11)
     shown = figure(page, name).locator(".pfedu-numbers td").all_text_contents()
-    assert [None if t == "–" else float(t) for t in shown] == pytest.approx(
-        list(native["numbers"].values()), rel=1e-5, abs=1e-9
-    )
+    assert [float(text) for text in shown] == pytest.approx(list(native["numbers"].values()), rel=1e-5, abs=1e-9)
+    listed = figure(page, name).locator(".pfedu-numbers tbody th").all_text_contents()
+    assert listed == list(native["numbers"])
 
 
 def _newest_position_wins(page, name):

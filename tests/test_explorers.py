@@ -6,11 +6,13 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from matplotlib.colors import to_hex
 
 import pfedu
 from pfedu.explorers import Choice, Explorer, Seed, Shown, Slider, load, names
 from pfedu.explorers.controls import geometric
 from pfedu.explorers.stage import Stage
+from pfedu.figures import COLORS
 
 EXPLORERS = names()
 
@@ -25,7 +27,7 @@ def _sound(pixels, shown, params):
     assert len(np.unique(pixels.reshape(-1, 4), axis=0)) > 10, f"an empty picture at {params}"
     assert shown.sentence.endswith("."), shown.sentence
     assert "nan" not in shown.sentence and "inf" not in shown.sentence, shown.sentence
-    assert all(v is None or np.isfinite(v) for v in shown.numbers.values()), (params, shown.numbers)
+    assert all(np.isfinite(v) for v in shown.numbers.values()), (params, shown.numbers)
 
 
 @pytest.mark.parametrize("name", EXPLORERS)
@@ -55,15 +57,6 @@ def test_any_position(stages, name, data):
     """A combination of positions that only a reader would find."""
     params = {c.name: data.draw(st.sampled_from(c.values), label=c.name) for c in load(name).controls}
     _sound(*stages[name].draw(params), params)
-
-
-@pytest.mark.parametrize("name", EXPLORERS)
-def test_numbers_keep_their_names(stages, name):
-    """A row of the page's table that would show another quantity's number."""
-    explorer = load(name)
-    labels = list(stages[name].draw(explorer.defaults())[1].numbers)
-    for params in explorer.beforehand(explorer.defaults()):
-        assert list(stages[name].draw(params)[1].numbers) == labels, params
 
 
 @pytest.mark.parametrize("name", EXPLORERS)
@@ -140,6 +133,26 @@ def test_same_position_same_picture(stages, name):
     again, says = stages[name].draw(explorer.defaults())
     assert said == says
     np.testing.assert_array_equal(first, again)
+
+
+def _mark(artist):
+    """What tells an artist from its neighbours where colours cannot be told apart."""
+    if hasattr(artist, "get_xydata"):
+        return "line", artist.get_linestyle(), artist.get_marker(), round(artist.get_linewidth(), 1)
+    return type(artist).__name__, getattr(artist, "get_hatch", lambda: None)()
+
+
+@pytest.mark.parametrize("name", EXPLORERS)
+def test_pictures_can_be_read_without_colour(stages, name):
+    """Two curves of one legend that only their colours tell apart; a colour from outside the palette."""
+    palette = {to_hex(colour) for colour in COLORS.values()}
+    for ax in stages[name].axes.values():
+        artists, labels = ax.get_legend_handles_labels()
+        marks = {label: _mark(artist) for artist, label in zip(artists, labels, strict=True)}
+        assert len(set(marks.values())) == len(marks), f"told apart by colour alone: {marks}"
+        faces = (face for collection in ax.collections for face in collection.get_facecolor())
+        used = {to_hex(colour) for colour in (*(line.get_color() for line in ax.lines), *faces)}
+        assert used <= palette, f"not of the palette: {used - palette}"
 
 
 @pytest.mark.parametrize("name", EXPLORERS)

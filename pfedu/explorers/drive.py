@@ -151,7 +151,7 @@ def build(axes):
         "mean": t.plot([], [], label="estimate", **mine)[0],
         "naive": t.plot([], [], label="as numbers", **naive)[0],
         "orbit": c.plot([], [], color=COLORS["measurement"], lw=0.8)[0],
-        "before": c.plot([], [], ".", color=COLORS["accent"], ms=4, alpha=0.5, mew=0, label="predicted")[0],
+        "before": c.plot([], [], "x", color=COLORS["accent"], ms=3, alpha=0.5, mew=0.8, label="predicted")[0],
         "after": c.plot([], [], ".", color=COLORS["particles"], ms=4, alpha=0.5, mew=0, label="corrected")[0],
         "truth_k": c.plot([], [], marker="*", ms=9, **truth, **head)[0],
         "exact_k": c.plot([], [], marker="D", mfc="none", ms=6, **exact, **head)[0],

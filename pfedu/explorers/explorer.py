@@ -12,9 +12,8 @@ class Shown:
     ----------
     sentence : str
         What the picture now shows; it is the caption and the text for those who cannot see it.
-    numbers : dict of str to float or None
-        The figures behind it, in the order in which a table lists them; the same names at every
-        position, and None for what does not exist at this one.
+    numbers : dict of str to float
+        The figures behind it, in the order in which a table lists them.
     """
 
     sentence: str

@@ -85,7 +85,7 @@ def build(axes):
         "mine": e.plot([], [], "-", lw=1.4, label="particles: 3 sd", **mine)[0],
         "mine_error": e.plot([], [], "o", ms=3, label="error", **mine)[0],
         "cloud": c.plot([], [], ".", color=COLORS["light"], ms=2, mew=0, label=f"{MANY} particles")[0],
-        "dots": c.plot([], [], ".", ms=3.5, mew=0, label="the filter's", **mine)[0],
+        "dots": c.plot([], [], "x", ms=3, mew=0.7, label="the filter's", **mine)[0],
         "ellipse": c.plot([], [], "--", lw=1.5, label="unscented, 2 sd", **rival)[0],
         "truth": c.plot([], [], "*", color=COLORS["truth"], ms=8, label="truth")[0],
         "rival_width": w.plot([], [], "--", lw=1.4, label="unscented", **rival)[0],

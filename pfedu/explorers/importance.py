@@ -201,7 +201,6 @@ def _say(target, phi, shape, m, s, N, sample, exact, at):
         "intervals of ±2 standard errors that hold the exact value, of 100": inside,
         "error of as many draws from p itself": np.sqrt(exact[1] / N),
     }
-    numbers |= dict.fromkeys(("N / (1 + χ²), where N_eff tends to", "error by the formula for large N"))
     if exact[2] is None:
         law = "The weights have no finite variance, so there is no formula for the error"
     elif exact[2] > N:
@@ -217,7 +216,7 @@ def _say(target, phi, shape, m, s, N, sample, exact, at):
         f"Over 100 samples the error is {true:.2g} (root mean square); they report {own:.2g}, and {inside} of their "
         "intervals of ±2 standard errors hold the exact value."
     )
-    return Shown(sentence, {name: None if value is None else float(value) for name, value in numbers.items()})
+    return Shown(sentence, {name: float(value) for name, value in numbers.items()})
 
 
 EXPLORER = Explorer(

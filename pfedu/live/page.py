@@ -41,6 +41,7 @@ def setup(app):
     """Connect the extension to Sphinx."""
     app.add_config_value("pfedu_pyodide", os.environ.get("PFEDU_PYODIDE") or PYODIDE, "html")
     app.connect("config-inited", _cache_by_source)
+    app.connect("config-inited", _light_mathjax)
     app.connect("builder-inited", _copy_files)
     app.connect("doctree-resolved", _draw_explorers)
     app.connect("html-page-context", _add_scripts, priority=600)
@@ -76,6 +77,13 @@ def source_digest(*leave_out):
 def _cache_by_source(app, config):
     """Executed notebooks are kept until a cell or the package changes."""
     config.nb_execution_cache_path = str(Path(app.srcdir) / "_build" / ".notebooks" / source_digest())
+
+
+def _light_mathjax(app, config):
+    """MathJax in the parts that the book uses: two thirds of its weight, with what screen readers need."""
+    config.mathjax_path = "mathjax/startup.js"
+    parts = ["core", "input/tex", "output/chtml", "output/chtml/fonts/tex", "a11y/assistive-mml"]
+    config.mathjax3_config = (config.mathjax3_config or {}) | {"loader": {"load": parts}}
 
 
 # -- pictures -----------------------------------------------------------------------------------------------------
@@ -150,12 +158,17 @@ def _figure(app, docname, name, start):
         layout: {"file": f"{layout}-start.png", "width": d["size"][0], "height": d["size"][1]}
         for layout, d in drawn.items()
     }
+    tables = []  # what is listed may differ from position to position, and mostly does not
+    for _, values, _ in drawn["wide"]["frames"].values():
+        if [*values] not in tables:
+            tables.append([*values])
     data = {
         "name": name,
         "start": {control.name: control.values.index(params[control.name]) for control in explorer.controls},
         "texts": {c.name: [c.text(value) for value in c.values] for c in explorer.controls},
+        "tables": tables,
         "frames": {
-            moved: [words, [None if v is None else float(f"{v:.6g}") for v in values.values()], solved]
+            moved: [words, tables.index([*values]), [float(f"{v:.6g}") for v in values.values()], solved]
             for moved, (words, values, solved) in drawn["wide"]["frames"].items()
         },
     }
@@ -171,6 +184,7 @@ def _template():
 def _add_scripts(app, pagename, templatename, context, doctree):
     """The script and style of explorers, on the pages that have one; without what no page uses."""
     body = context.get("body", "")
+    context["body"] = body.replace("<img ", '<img loading="lazy" ')  # pictures come as the reader does
     if "script_files" in context:
         unused = ("thebe", "THEBE") if "widget-view+json" in body else ("thebe", "THEBE", "widget-state+json")
         context["script_files"][:] = [f for f in context["script_files"] if not any(u in _describe(f) for u in unused)]

@@ -207,8 +207,8 @@
           : 'Several controls have been moved: the picture follows as soon as Python is up.';
         return this.say();
       }
-      const [sentence, numbers, solved] = frames[key];
-      this.show('frame', sentence, numbers, solved);
+      const [sentence, table, numbers, solved] = frames[key];
+      this.show('frame', sentence, this.data.tables[table], numbers, solved);
       this.image.src = this.fileOf(key);
       this.image.alt = sentence;
       this.image.hidden = false;
@@ -245,13 +245,18 @@
       this.image.hidden = true;
       this.element.classList.remove('pfedu-stale');
       this.element.shown = words;
-      this.show('live', words.sentence, Object.values(words.numbers), words.solved);
+      this.show('live', words.sentence, Object.keys(words.numbers), Object.values(words.numbers), words.solved);
       this.element.dataset.ms = ms.toFixed(1);
     }
 
-    show(state, sentence, numbers, solved) {
+    show(state, sentence, labels, numbers, solved) {
       this.sentence.textContent = sentence;
-      [...this.table.rows].forEach((row, i) => { row.cells[1].textContent = numbers[i] === null ? '–' : Number(numbers[i].toPrecision(6)); });
+      this.table.replaceChildren(...labels.map((label, i) => {
+        const row = document.createElement('tr');
+        const head = Object.assign(document.createElement('th'), { scope: 'row', textContent: label });
+        row.append(head, Object.assign(document.createElement('td'), { textContent: Number(numbers[i].toPrecision(6)) }));
+        return row;
+      }));
       this.puzzles?.querySelectorAll('li').forEach((item, i) => {
         if (!solved[i] || item.dataset.solved) return;
         item.dataset.solved = true; // and stays so, wherever the controls go next
