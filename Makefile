@@ -3,10 +3,11 @@
 PYTHON ?= python3
 VENV ?= .venv
 BIN := $(VENV)/$(if $(filter Windows_NT,$(OS)),Scripts,bin)
+export OPENBLAS_NUM_THREADS ?= 1# the arrays are small: more threads only stand in each other's way
 BUILD = $(BIN)/jupyter-book build -W -n --keep-going
 
 .DEFAULT_GOAL := help
-.PHONY: help env browser book read test test-core test-browser self-hosted lab lint notebooks tables requirements clean
+.PHONY: help env browser book read test test-core test-browser test-lite self-hosted lab lint notebooks tables requirements clean
 
 help: ## list what can be made
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "make %-13s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
@@ -21,10 +22,13 @@ read: book ## build the book, serve it on 127.0.0.1 and open the browser
 test: test-core test-browser ## everything: code, notebooks, book, and the book in a real browser
 
 test-core: lint ## code and notebooks
-	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -m "not browser" -n 2 --dist loadfile
+	$(BIN)/python -m pytest -m "not browser" -n 2 --dist loadfile
 
 test-browser: book self-hosted ## the built book in Chromium; says so where there is none
-	$(BIN)/python -m pytest -m browser tests/test_browser.py
+	$(BIN)/python -m pytest -m browser tests/test_browser.py tests/test_lite.py -n 2
+
+test-lite: book self-hosted ## every chapter run to its end as a live notebook in Chromium (minutes each)
+	PFEDU_LITE=all $(BIN)/python -m pytest -m browser tests/test_lite.py
 
 self-hosted: env _build/pyodide/pyodide-lock.json ## build the book with its own Pyodide: it asks nothing of any other site
 	PFEDU_PYODIDE=_build/pyodide $(BUILD) --path-output _build/self-hosted .
@@ -32,15 +36,16 @@ self-hosted: env _build/pyodide/pyodide-lock.json ## build the book with its own
 lab: env ## open the notebooks in JupyterLab
 	$(BIN)/jupyter lab book
 
-lint: env ## check the style of code and notebooks
+lint: env ## check the style of code and notebooks, and the spelling
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
+	$(BIN)/codespell
 
 notebooks: env ## execute the notebooks in place, to commit their outputs
 	$(BIN)/python -m pfedu.live.execute $(wildcard book/*.ipynb)
 
 tables: env ## measure the reference numbers of the sources anew, beside those found by other programs (minutes)
-	OPENBLAS_NUM_THREADS=1 $(BIN)/python benchmarks/tables.py
+	$(BIN)/python benchmarks/tables.py
 
 env: $(VENV)/made ## make the environment
 

@@ -36,7 +36,11 @@ CORE = [
     "filters.kalman_bank",
     "filters.rao_blackwellized",
     "particle_filter",
+    "smoothing",
+    "pmmh",
+    "adaptive",
     "studies",
+    "checks",
 ]
 BY_REFERENCE = "Parameters, returns and errors are those of"
 

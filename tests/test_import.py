@@ -13,7 +13,8 @@ PACKAGE = Path(pfedu.__file__).parent
 
 # Lowest floor first; a room imports from lower floors, or from rooms named before it on its own.
 FLOORS = ["weights", "gaussian", "resampling", "models", "importance", "dimension", "track", "grid", "kalman",
-          "unscented", "filters", "particle_filter", "studies", "data"]  # fmt: skip
+          "unscented", "filters", "particle_filter", "smoothing", "pmmh", "adaptive",
+          "studies", "checks", "data"]  # fmt: skip
 UPPER = ["figures", "explorers", "live"]
 
 

@@ -6,7 +6,7 @@ import numpy as np
 
 import pfedu
 from pfedu.explorers.controls import Choice, Seed, Slider, geometric
-from pfedu.explorers.explorer import Explorer, Shown
+from pfedu.explorers.explorer import Explorer, Puzzle, Shown
 from pfedu.figures.density import particle_histogram
 from pfedu.figures.style import COLORS
 from pfedu.resampling import always
@@ -150,6 +150,42 @@ def _say(tracks, exact, errors, q, outlier, N, look, k):
     return Shown(sentence, numbers)
 
 
+def _last_gain(params, numbers):
+    """Whether the look ahead raises the mean N_eff at this q, and no longer at the next larger one."""
+    q, sizes = params["q"], CONTROLS[0].values
+    if params["look"] != "mean" or params["outlier"] != 0 or q == sizes[-1]:
+        return False
+    rest = [params[name] for name in ("outlier", "data", "N")]
+
+    def gain(q):
+        ahead, plain = (_filter(q, *rest, look, params["particles"]).n_eff[1:].mean() for look in ("mean", None))
+        return ahead - plain
+
+    return gain(q) > 0 >= gain(sizes[sizes.index(q) + 1])
+
+
+def _even_weights_few_ancestors(params, numbers):
+    """Whether the auxiliary filter's weights look even although few different particles were copied."""
+    few = numbers["different particles copied for step k, auxiliary"] < 0.15 * params["N"]
+    return params["look"] == "mean" and few and numbers["N_eff at step k, auxiliary"] > 0.5 * params["N"]
+
+
+PUZZLES = (
+    Puzzle(
+        "Without an outlier, looking ahead by the mean: find the largest q at which the auxiliary filter still has a "
+        "larger N_eff than the bootstrap filter, on average over the steps; at the next position of q it has none.",
+        _last_gain,
+        {"q": 0.46, "outlier": 0},
+    ),
+    Puzzle(
+        "Looking ahead by the mean: find a position where at step k the auxiliary filter reports an N_eff of more than "
+        "half of N, although fewer than 15 % of the particles before it were copied.",
+        _even_weights_few_ancestors,
+        {"q": 0.01, "outlier": 8},
+    ),
+)
+
+
 EXPLORER = Explorer(
     title="Ask the next measurement whom to copy",
     controls=CONTROLS,
@@ -164,4 +200,5 @@ EXPLORER = Explorer(
         *({"q": q, "outlier": 0, "k": 10} for q in CONTROLS[0].frames()),
         {"q": 10.0, "particles": 1},
     ),
+    puzzles=PUZZLES,
 )

@@ -6,7 +6,7 @@ import numpy as np
 
 from pfedu import dimension
 from pfedu.explorers.controls import Choice, Seed, Slider, geometric
-from pfedu.explorers.explorer import Explorer, Shown
+from pfedu.explorers.explorer import Explorer, Puzzle, Shown
 from pfedu.figures.style import COLORS
 
 TOP = 20  # largest weights that are shown
@@ -167,6 +167,34 @@ def _count(N):
     return f"about 10^{np.log10(N):.0f}"
 
 
+def _worst_sensor(params, numbers):
+    """Whether no other sensor asks more particles of the optimal proposal, by the formula."""
+    n, z, counting = params["n"], params["z"], params["counting"]
+    make = PROPOSALS["optimal"]
+    needed = [_needed(make(q=ratio, r=1.0), n, z, counting)[0] for ratio in CONTROLS[3].values]
+    return params["proposal"] == "optimal" and CONTROLS[3].values[np.argmax(needed)] == params["ratio"]
+
+
+def _collapse_in_one_dimension(params, numbers):
+    """Whether a thousand particles of a single coordinate are down to fewer than five."""
+    return params["n"] == 1 and params["N"] >= 1000 and numbers["N_eff, simulated"] < 5
+
+
+PUZZLES = (
+    Puzzle(
+        "The optimal proposal fears neither the best sensor nor the worst. Take it, and find the q/r at which it needs "
+        "the most particles by the formula (at your n and z).",
+        _worst_sensor,
+        {"proposal": "optimal", "ratio": 0.56},
+    ),
+    Puzzle(
+        "Collapse without the curse: at n = 1, with 1000 particles or more, bring N_eff (simulated) below 5.",
+        _collapse_in_one_dimension,
+        {"n": 1, "ratio": 100.0, "z": 3.0},
+    ),
+)
+
+
 EXPLORER = Explorer(
     title="What each further dimension costs",
     controls=CONTROLS,
@@ -183,4 +211,5 @@ EXPLORER = Explorer(
         {"n": 1, "counting": COUNTING[1]},
         {"n": 50, "counting": COUNTING[1]},
     ),
+    puzzles=PUZZLES,
 )

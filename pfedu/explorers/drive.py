@@ -6,7 +6,7 @@ import numpy as np
 
 import pfedu
 from pfedu.explorers.controls import Choice, Seed, Slider, geometric
-from pfedu.explorers.explorer import Explorer, Shown
+from pfedu.explorers.explorer import Explorer, Puzzle, Shown
 from pfedu.figures.style import COLORS
 from pfedu.models.van_der_pol import van_der_pol
 from pfedu.resampling import systematic
@@ -286,6 +286,41 @@ def _rms(values):
     return float(np.sqrt(np.mean(values**2)))
 
 
+def _too_sure(params, numbers):
+    """Whether a filter with the right variances claims less than half of its error over the whole record."""
+    right = params["r"] == 1 and params["q"] == 1 and params["estimate"] == "mean" and params["k"] == T
+    claim, error = numbers["RMS standard deviation as claimed so far"], numbers["RMS error of the estimate so far"]
+    return right and claim < error / 2
+
+
+def _wrong_far_from_seam(params, numbers):
+    """Whether numbers fail and directions do not where the heading is far from the seam."""
+    if params["system"] != "heading":
+        return False
+    names, k = ("system", "data", "every", "N", "q", "r", "particles"), params["k"]
+    mean, _, _, naive, *_ = _drive(*(params[name] for name in names))
+    truth = _record("heading", params["data"], params["every"])[0][k, 0]
+    off, naive_off = np.abs(wrap(np.array([mean[k, 0], naive[k, 0]]) - truth))
+    return np.abs(truth) < np.pi - 1 and naive_off > 1 and off < 0.2
+
+
+PUZZLES = (
+    Puzzle(
+        "Leave both variances right (factor 1) and the estimate at mean, and make the filter far too sure: at step "
+        "100 the standard deviation that it claimed (RMS so far) is less than half of its error (RMS so far).",
+        _too_sure,
+        {"k": 100, "N": 10, "particles": 2},
+    ),
+    Puzzle(
+        "Take the heading, and find a step at which the truth is more than 1 rad away from the seam, and the "
+        "particles averaged as numbers are off by more than 1 rad all the same, while their mean direction is off by "
+        "less than 0.2 rad.",
+        _wrong_far_from_seam,
+        {"system": "heading", "r": 100.0, "k": 20},
+    ),
+)
+
+
 _HEADING_STEPS = (5, 8, 9, 10, 11, 12, 15, 55, 57, 58, 59, 61, 62, 63, 65)
 
 EXPLORER = Explorer(
@@ -303,4 +338,5 @@ EXPLORER = Explorer(
         {"k": 100, "q": 0.1},
         {"k": 0, "estimate": "maxweight"},
     ),
+    puzzles=PUZZLES,
 )

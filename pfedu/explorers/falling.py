@@ -6,7 +6,7 @@ import numpy as np
 
 import pfedu
 from pfedu.explorers.controls import Choice, Seed, Slider, geometric
-from pfedu.explorers.explorer import Explorer, Shown
+from pfedu.explorers.explorer import Explorer, Puzzle, Shown
 from pfedu.figures.style import COLORS
 from pfedu.models import falling_body
 from pfedu.resampling import systematic
@@ -170,6 +170,32 @@ def _read(value):
     return f"{value:.2g}" if value < 100 else f"{value:.0f}" if value < 1e6 else "over a million"
 
 
+def _lost_with_kernel(params, numbers):
+    """Whether particles with a kernel leave the truth outside their bounds at most steps."""
+    return params["kernel"] != "none" and numbers["steps with the truth inside 3 sd, particles"] < 30
+
+
+def _held_without_kernel(params, numbers):
+    """Whether particles without a kernel keep the truth inside their bounds at most steps."""
+    return params["kernel"] == "none" and numbers["steps with the truth inside 3 sd, particles"] > 40
+
+
+PUZZLES = (
+    Puzzle(
+        "Keep a kernel, and lose the body all the same: the truth is inside 3 sd of the particles in fewer than 30 of "
+        "the 60 steps (the state and all seeds are up to you).",
+        _lost_with_kernel,
+        {"N": 100, "shrink": "yes"},
+    ),
+    Puzzle(
+        "Without a kernel, keep the truth inside 3 sd of the particles in more than 40 of the 60 steps "
+        "(seeds are up to you, and you will need them).",
+        _held_without_kernel,
+        {"kernel": "none", "N": 4000, "particles": 3},
+    ),
+)
+
+
 EXPLORER = Explorer(
     title="A falling body: particles and sigma points",
     controls=CONTROLS,
@@ -187,4 +213,5 @@ EXPLORER = Explorer(
         *({"state": "coefficient", "prior": "as the lecture has it", "k": 5, "data": seed} for seed in (2, 3, 4)),
         {"shrink": "yes", "k": 20},
     ),
+    puzzles=PUZZLES,
 )

@@ -6,7 +6,7 @@ from math import lgamma
 import numpy as np
 
 from pfedu.explorers.controls import Choice, Seed, Slider
-from pfedu.explorers.explorer import Explorer, Shown
+from pfedu.explorers.explorer import Explorer, Puzzle, Shown
 from pfedu.figures.density import particle_histogram
 from pfedu.figures.style import COLORS
 
@@ -219,6 +219,38 @@ def _say(target, phi, shape, m, s, N, sample, exact, at):
     return Shown(sentence, {name: float(value) for name, value in numbers.items()})
 
 
+def _worse_with_more(params, numbers):
+    """Whether the intervals of 2000 draws hold the exact value much less often than those of 20."""
+    target, phi, shape, m, s = (params[name] for name in ("target", "phi", "shape", "m", "s"))
+    off = np.abs(_samples(target, phi, shape, m, s, params["draws"])[2] - _exact(target, phi, shape, m, s)[0])
+    held = np.sum(off <= 2 * _samples(target, phi, shape, m, s, params["draws"])[3], axis=0)
+    return held[SIZES.index(2000)] <= held[SIZES.index(20)] - 20
+
+
+def _two_thirds_will_do(params, numbers):
+    """Whether the proposal needs less than two thirds of the draws that heavy tails themselves need for their mean."""
+    if (params["target"], params["phi"]) != ("heavy tails", "mean of x"):
+        return False
+    _, variance, _, times = _exact("heavy tails", "mean of x", params["shape"], params["m"], params["s"])
+    return times is not None and times < 2 / 3 * variance
+
+
+PUZZLES = (
+    Puzzle(
+        "Find a proposal with which more draws make matters worse: of the 100 intervals, at least 20 fewer hold the "
+        "exact value with 2000 draws than with 20.",
+        _worse_with_more,
+        {"phi": "P(x > 2)", "m": 1.5, "s": 0.4},
+    ),
+    Puzzle(
+        "Take the target with heavy tails, ask for the mean of x, and find a proposal that by the formula for large N "
+        "needs less than two thirds of the draws that p itself would need for the same error.",
+        _two_thirds_will_do,
+        {"target": "heavy tails", "shape": "Student t"},
+    ),
+)
+
+
 EXPLORER = Explorer(
     title="Importance sampling beside the exact answer",
     controls=CONTROLS,
@@ -233,4 +265,5 @@ EXPLORER = Explorer(
         *({"target": "two peaks", "m": -2.0, "s": s} for s in CONTROLS[4].values[:11]),
         *({"phi": "P(x > 2)", "m": m, "s": s} for s in (1.0, 2.0) for m in (0.0, 1.0, 2.0, 3.0, 4.0)),
     ),
+    puzzles=PUZZLES,
 )

@@ -6,7 +6,7 @@ import numpy as np
 
 import pfedu
 from pfedu.explorers.controls import Choice, Seed, Slider, geometric
-from pfedu.explorers.explorer import Explorer, Shown
+from pfedu.explorers.explorer import Explorer, Puzzle, Shown
 from pfedu.figures.style import COLORS
 from pfedu.kalman import linearised
 from pfedu.resampling import always
@@ -212,6 +212,35 @@ def _rms(error):
     return float(np.sqrt(np.mean(error[1:] ** 2)))
 
 
+def _even_and_wrong(params, numbers):
+    """Whether EKF proposals have the more even weights and by far the larger error."""
+    more = numbers["mean N_eff, EKF"] > 1.5 * numbers["mean N_eff, bootstrap"]
+    far = numbers["RMS distance to the exact mean, EKF"] > 5 * numbers["RMS distance to the exact mean, bootstrap"]
+    return more and far
+
+
+def _blind_tangent(params, numbers):
+    """Whether the best sensor leaves the EKF proposal of the particle shown as wide as the transition."""
+    width = np.sqrt(_system(params["model"], params["r"]).Q[0, 0])
+    return params["r"] == min(CONTROLS[2].values) and numbers["sd of the same, EKF"] > 0.98 * width
+
+
+PUZZLES = (
+    Puzzle(
+        "Find a position where EKF proposals have more than 1.5 times the mean N_eff of the bootstrap filter, and "
+        "more than 5 times its RMS distance to the exact mean.",
+        _even_and_wrong,
+        {"r": 0.32},
+    ),
+    Puzzle(
+        "Take the best sensor, r = 0.01, and find a particle to whose EKF it says next to nothing: the EKF proposal is "
+        "at most 2 % narrower than the transition.",
+        _blind_tangent,
+        {"model": CUBE, "r": 0.01, "k": 34},
+    ),
+)
+
+
 _SHARP = {"model": CUBE, "r": 0.01}
 EXPLORER = Explorer(
     title="A small Kalman filter in every particle",
@@ -228,4 +257,5 @@ EXPLORER = Explorer(
         *(_SHARP | {"which": seed} for seed in CONTROLS[7].frames()),
         *(_SHARP | {"data": seed} for seed in CONTROLS[5].frames()),
     ),
+    puzzles=PUZZLES,
 )

@@ -6,7 +6,7 @@ import numpy as np
 
 import pfedu
 from pfedu.explorers.controls import Choice, Seed, Slider, geometric
-from pfedu.explorers.explorer import Explorer, Shown
+from pfedu.explorers.explorer import Explorer, Puzzle, Shown
 from pfedu.figures.density import particle_histogram
 from pfedu.figures.style import COLORS
 from pfedu.resampling import always, never, ratio
@@ -228,6 +228,35 @@ def _rms(error):
     return float(np.sqrt(np.mean(error[1:] ** 2)))
 
 
+def _never_and_well(params, numbers):
+    """Whether the optimal filter holds nearly all of its particles to the end without ever resampling."""
+    last = params["policy"] == "never" and params["k"] == T
+    return last and numbers["N_eff at step k, optimal"] > 0.95 * params["N"]
+
+
+def _best_proposal_fails(params, numbers):
+    """Whether one step from equal weights leaves the optimal filter less than 5 % of its particles."""
+    if numbers["N_eff at step k, optimal"] >= 0.05 * params["N"]:
+        return False
+    track = _filters(*(params[name] for name in ("model", "q", "r", "data", "N", "policy", "particles")))["optimal"]
+    return params["k"] == 1 or track.resampled[params["k"] - 1]
+
+
+PUZZLES = (
+    Puzzle(
+        "Never resample, and have the optimal filter keep an N_eff of more than 95 % of N up to the last step, k = 50.",
+        _never_and_well,
+        {"policy": "never", "q": 10.0, "k": 50},
+    ),
+    Puzzle(
+        "Find a step k at which even the optimal filter is left with an N_eff of less than 5 % of N, although all "
+        "its weights were equal before (it resampled at step k−1).",
+        _best_proposal_fails,
+        {"model": "x²/(1+x³)", "policy": "always", "k": 13},
+    ),
+)
+
+
 _LECTURE = {"model": "x²/(1+x³)", "q": 0.1, "r": 1.0}
 EXPLORER = Explorer(
     title="The optimal importance density beside the bootstrap filter",
@@ -245,4 +274,5 @@ EXPLORER = Explorer(
         *(_LECTURE | {"data": seed} for seed in CONTROLS[6].frames()),
         *(_LECTURE | {"policy": "never", "data": seed} for seed in CONTROLS[6].frames()),
     ),
+    puzzles=PUZZLES,
 )

@@ -6,7 +6,7 @@ import numpy as np
 
 import pfedu
 from pfedu.explorers.controls import Seed, Slider, geometric
-from pfedu.explorers.explorer import Explorer, Shown
+from pfedu.explorers.explorer import Explorer, Puzzle, Shown
 from pfedu.figures.density import particle_histogram
 from pfedu.figures.style import COLORS
 
@@ -157,6 +157,35 @@ def _say(far, mode, rb, bs, d, N_rb, N_bs, k):
     return Shown(sentence, numbers)
 
 
+def _bootstrap_wins(params, numbers):
+    """Whether plain particles come three times closer in the most dimensions that there are."""
+    rb, bs = (numbers[f"RMS distance to the exact mean, {name}"] for name in ("Rao-Blackwellised", "bootstrap"))
+    return params["d"] == D and rb > 3 * bs
+
+
+def _ten_beat_a_thousand(params, numbers):
+    """Whether ten particles with a Gaussian each come closer than a thousand plain ones, even for a single z."""
+    rb, bs = (numbers[f"RMS distance to the exact mean, {name}"] for name in ("Rao-Blackwellised", "bootstrap"))
+    fair = params["data"] == params["particles"] == 1 and params["N_rb"] == 10 and params["N_bs"] >= 1000
+    return params["d"] == 1 and fair and rb < bs
+
+
+PUZZLES = (
+    Puzzle(
+        "Give z its 8 dimensions, and let the bootstrap filter come at least three times closer to the exact mean than "
+        "the Rao-Blackwellised filter all the same (RMS over the steps).",
+        _bootstrap_wins,
+        {"d": 8, "N_rb": 10, "N_bs": 10000},
+    ),
+    Puzzle(
+        "With d = 1, let 10 Rao-Blackwellised particles come closer to the exact mean than 1000 or more of the "
+        "bootstrap filter, on the data and the particles of the start.",
+        _ten_beat_a_thousand,
+        {"d": 1, "N_rb": 10, "stay": 0.99},
+    ),
+)
+
+
 EXPLORER = Explorer(
     title="Rao-Blackwellised and plain particles beside all sequences of modes",
     controls=CONTROLS,
@@ -170,4 +199,5 @@ EXPLORER = Explorer(
         *({"d": d, "N_bs": 10000} for d in CONTROLS[0].frames()),
         *({"d": 1, "N_rb": n} for n in (10, 1000)),
     ),
+    puzzles=PUZZLES,
 )

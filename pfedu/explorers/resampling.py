@@ -6,7 +6,7 @@ import numpy as np
 from matplotlib.ticker import MaxNLocator
 
 from pfedu.explorers.controls import Choice, Seed, Slider
-from pfedu.explorers.explorer import Explorer, Shown
+from pfedu.explorers.explorer import Explorer, Puzzle, Shown
 from pfedu.figures.style import COLORS
 from pfedu.resampling import SCHEMES
 
@@ -272,6 +272,40 @@ def _say(scheme, w, size, picked, scatter):
     return Shown(sentence, numbers)
 
 
+def _comb_not_fooled(params, numbers):
+    """Whether the comb moves the mean of alternating, unequal particles by less than a third of multinomial's."""
+    if params["order"] != "alternating" or params["N"] < 8 or params["sharpness"] == 0:
+        return False
+    return numbers["sd of the mean, systematic, exact"] < numbers["sd of the mean, multinomial, exact"] / 3
+
+
+def _nobody_lost(params, numbers):
+    """Whether every draw of the scheme keeps every particle, although the weights are far from equal."""
+    _, w = _cloud(*(params[name] for name in ("order", "sharpness", "N", "particles")))
+    size, scheme = round(params["size"] * w.size), params["scheme"]
+    ends = size * np.append(0.0, np.cumsum(w))
+    cells = np.floor(ends[1:] + 1e-9) - np.ceil(ends[:-1] - 1e-9)  # whole cells that a stretch covers
+    sure = {"multinomial": 0 * w, "residual": size * w, "systematic": size * w, "stratified": cells}[scheme]
+    return numbers["N_eff"] < 0.75 * w.size and sure.min() >= 1 - 1e-9
+
+
+PUZZLES = (
+    Puzzle(
+        "Alternating particles fool the comb. Take 8 of them or more, with unequal weights (sharpness above 0), and "
+        "find a position at which systematic resampling moves the mean by less than a third of what multinomial "
+        "resampling does (the exact sd of the mean) all the same.",
+        _comb_not_fooled,
+        {"order": "alternating", "sharpness": 0.5, "size": 4.0},
+    ),
+    Puzzle(
+        "Make the weights so uneven that N_eff is below three quarters of N, and yet no draw of the chosen scheme, "
+        "however unlucky, can lose a particle.",
+        _nobody_lost,
+        {"order": "alternating", "sharpness": 1.5, "size": 4.0},
+    ),
+)
+
+
 EXPLORER = Explorer(
     title="Weights in, copies out",
     controls=CONTROLS,
@@ -288,4 +322,5 @@ EXPLORER = Explorer(
         *({"scheme": name, "draw": draw} for name in NAMES if name != "systematic" for draw in (2, 3, 4)),
         *({"sharpness": 0.0, "scheme": name} for name in NAMES),
     ),
+    puzzles=PUZZLES,
 )

@@ -6,7 +6,7 @@ import numpy as np
 
 import pfedu
 from pfedu.explorers.controls import Choice, Seed, Slider, geometric
-from pfedu.explorers.explorer import Explorer, Shown
+from pfedu.explorers.explorer import Explorer, Puzzle, Shown
 from pfedu.figures.density import particle_histogram
 from pfedu.figures.style import COLORS
 from pfedu.resampling import SCHEMES, always, interval, never, ratio, systematic
@@ -207,6 +207,38 @@ def _rms(error):
     return float(np.sqrt(np.mean(error[1:] ** 2)))
 
 
+def _always_resampled(params, numbers):
+    """Whether a low threshold makes the random walk's filter resample at every step."""
+    walks = params["model"] == "random walk" and params["policy"] == "ratio" and params["threshold"] <= 0.3
+    return walks and numbers["times resampled"] == T
+
+
+def _few_of_many(params, numbers):
+    """Whether one measurement leaves fewer than four of a thousand particles or more, evenly weighted before it."""
+    k, names = params["k"], ("model", "q", "r", "data", "N", "scheme", "policy", "threshold", "particles")
+    if k == 0 or params["N"] < 1000 or numbers["N_eff at step k"] >= 4:
+        return False
+    threshold = params["threshold"] if params["policy"] == "ratio" else 0.0
+    track = _filter(**{name: params[name] for name in names} | {"threshold": threshold})
+    return k == 1 or track.resampled[k - 1]
+
+
+PUZZLES = (
+    Puzzle(
+        "Take the random walk, keep the policy ratio with a threshold of 0.3 or less, and make the filter resample at "
+        "every one of the 50 steps.",
+        _always_resampled,
+        {"model": "random walk", "threshold": 0.3, "q": 40.0},
+    ),
+    Puzzle(
+        "Take 1000 particles or more, and find a step k at which a single measurement leaves N_eff below 4, although "
+        "all weights were equal before it (the filter resampled at step k−1).",
+        _few_of_many,
+        {"model": "random walk", "N": 1000, "k": 38},
+    ),
+)
+
+
 EXPLORER = Explorer(
     title="The SIR filter beside the exact answer",
     controls=CONTROLS,
@@ -221,4 +253,5 @@ EXPLORER = Explorer(
         {"model": "random walk", "policy": "never"},
         *({"N": n, "particles": seed} for n in (10, 5000) for seed in CONTROLS[9].frames()),
     ),
+    puzzles=PUZZLES,
 )

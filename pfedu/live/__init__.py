@@ -1,16 +1,17 @@
 """Hosts for explorers: Jupyter (``jupyter``), the page's worker (``browser``), and the built page (``page``)."""
 
 
-def explore(name, **start):
+def explore(explorer, **start):
     """Show an explorer.
 
     In Jupyter it is live at once. In the built book the same cell becomes a figure that is drawn
-    beforehand and redrawn by Python in the reader's browser.
+    beforehand and redrawn by Python in the reader's browser. An explorer that is made in the notebook
+    is live in Jupyter only; the built book shows its picture, for the page's Python knows no notebook.
 
     Parameters
     ----------
-    name : str
-        Name of a file in ``pfedu/explorers``.
+    explorer : str or pfedu.explorers.Explorer
+        Name of a file in ``pfedu/explorers``, or an explorer made in the notebook.
     **start
         Where controls start, if not at their defaults.
 
@@ -31,4 +32,4 @@ def explore(name, **start):
     """
     from pfedu.live.jupyter import JupyterExplorer
 
-    return JupyterExplorer(name, **start)
+    return JupyterExplorer(explorer, **start)

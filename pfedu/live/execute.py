@@ -27,7 +27,7 @@ def execute(path):
     """
     path = Path(path)
     notebook = nbformat.read(path, as_version=4)
-    options = dict(record_timing=False, store_widget_state=False, resources={"metadata": {"path": str(path.parent)}})
+    options = dict(record_timing=False, resources={"metadata": {"path": str(path.parent)}})
     NotebookClient(notebook, timeout=600, kernel_name="python3", **options).execute()
     for cell in notebook.cells:
         if cell.cell_type == "code":
@@ -35,6 +35,7 @@ def execute(path):
             for output in cell.outputs:
                 output.get("data", {}).pop(WIDGET, None)
     notebook.metadata.get("language_info", {}).pop("version", None)
+    notebook.metadata.pop("widgets", None)  # the state of widgets, full of random names
     nbformat.write(notebook, path)
 
 

@@ -1,15 +1,16 @@
 """Explorers in Jupyter: ipywidgets made from the declared controls, the picture in place."""
 
 import asyncio
+import base64
 import html
 import json
 
 import ipywidgets as widgets
 import traitlets
 
-from pfedu.explorers import Choice, Seed, load
+from pfedu.explorers import Choice, Explorer, Seed, load
 from pfedu.explorers.stage import Stage
-from pfedu.live.picture import quick_png
+from pfedu.live.picture import quick_png, small_png
 
 _WAIT = 0.02  # seconds in which further moves of a slider are taken together
 
@@ -22,8 +23,8 @@ class JupyterExplorer(widgets.VBox):
 
     Parameters
     ----------
-    name : str
-        Name of an explorer.
+    explorer : str or pfedu.explorers.Explorer
+        Name of an explorer, or one made in the notebook.
     **start
         Where controls start, if not at their defaults.
 
@@ -41,9 +42,9 @@ class JupyterExplorer(widgets.VBox):
     True
     """
 
-    def __init__(self, name, **start):
-        self.name, self.start = name, start
-        self.explorer = load(name)
+    def __init__(self, explorer, **start):
+        self.name, self.start = (None if isinstance(explorer, Explorer) else explorer), start
+        self.explorer = load(explorer) if self.name is not None else explorer
         params = self.explorer.check(start)
         self._stage = Stage(self.explorer)
         self._waiting = None
@@ -95,17 +96,32 @@ class JupyterExplorer(widgets.VBox):
             self._waiting = loop.call_later(_WAIT, self.redraw)
 
     def __repr__(self):
-        return f"explore({', '.join([repr(self.name), *(f'{k}={v!r}' for k, v in self.start.items())])})"
+        what = repr(self.name) if self.name is not None else f"Explorer({self.explorer.title!r})"
+        return f"explore({', '.join([what, *(f'{k}={v!r}' for k, v in self.start.items())])})"
 
     def _repr_mimebundle_(self, **kwargs):
         """Widget for Jupyter; a place-holder that the built page replaces; a line of text elsewhere."""
         bundle = super()._repr_mimebundle_(**kwargs)
+        here = self._still() if self.name is None else self._place()
+        return bundle | {"text/plain": repr(self), "text/html": here}
+
+    def _place(self):
+        """What the built page replaces by a live figure."""
         start = html.escape(json.dumps(self.start))
-        return bundle | {
-            "text/plain": repr(self),
-            "text/html": f'<div class="pfedu-explorer-here" data-name="{self.name}" data-start="{start}">'
-            f"<p>{html.escape(self.explorer.title)}: a figure with controls. Run the notebook to move them.</p></div>",
-        }
+        return (
+            f'<div class="pfedu-explorer-here" data-name="{self.name}" data-start="{start}">'
+            f"<p>{html.escape(self.explorer.title)}: a figure with controls. Run the notebook to move them.</p></div>"
+        )
+
+    def _still(self):
+        """A picture: no file of the package holds this explorer, so no page can run it."""
+        pixels, shown = self._stage.draw(self.params)
+        picture = base64.b64encode(small_png(pixels)).decode()
+        words = html.escape(shown.sentence)
+        return (
+            f'<figure><img src="data:image/png;base64,{picture}" alt="{words}" style="max-width: 100%; width: 760px">'
+            f"<figcaption><p>{words} Run the notebook to move the controls.</p></figcaption></figure>"
+        )
 
 
 def _widget(control, value):

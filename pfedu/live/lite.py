@@ -1,8 +1,8 @@
 """Every chapter as a live notebook: a Sphinx extension that puts JupyterLite, Jupyter without a server, into the book.
 
-The folder ``lite`` of the built book holds it, with a copy of each chapter's notebook. Its kernel is Pyodide, from
-where the explorers have theirs (``pfedu_pyodide``), and it starts with ``pfedu``, matplotlib and ipywidgets in
-place: nothing is installed, and no package index is asked. One more setting concerns the links:
+The folder ``_static/lite`` of the built book holds it, with a copy of each chapter's notebook. Its kernel is
+Pyodide, from where the explorers have theirs (``pfedu_pyodide``), and it starts with ``pfedu``, matplotlib and
+ipywidgets in place: nothing is installed, and no package index is asked. One more setting concerns the links:
 
 ``pfedu_repository``
     Web address of the repository on GitHub. Where it is set, each chapter leads to Binder and Colab as well.
@@ -37,6 +37,7 @@ _WORKER = f"extensions/{KERNEL}/static/"  # the kernel's worker looks for its wh
 
 def setup(app):
     """Connect the extension to Sphinx."""
+    app.setup_extension("pfedu.live.page")
     app.add_config_value("pfedu_repository", "", "html")
     app.connect("html-page-context", _offer)
     app.connect("build-finished", _build)
@@ -78,9 +79,9 @@ def door(pagename, repository=""):
     >>> "Binder" in door("book/03-sir"), "Binder" in door("book/03-sir", "https://github.com/someone/book")
     (False, True)
     """
-    here, chapter = "../" * pagename.count("/"), pagename.rpartition("/")[2]
-    lite = f'<a href="{here}lite/notebooks/index.html?path={chapter}.ipynb">Open this chapter as a live notebook</a>'
-    links = [f'<span class="pfedu-lite">{lite}</span>', *_elsewhere(pagename, repository.rstrip("/"))]
+    lite, chapter = "../" * pagename.count("/") + "_static/lite/notebooks/index.html", pagename.rpartition("/")[2]
+    opens = f'<a href="{lite}?path={chapter}.ipynb">Open this chapter as a live notebook</a>'
+    links = [f'<span class="pfedu-lite">{opens}</span>', *_elsewhere(pagename, repository.rstrip("/"))]
     return f'<p class="pfedu-live-notebook d-print-none">{" · ".join(links)}</p>\n<script>{_FROM_A_FILE}</script>'
 
 
@@ -110,8 +111,8 @@ def _elsewhere(pagename, repository):
 def _build(app, exception):
     if exception or app.builder.format != "html":
         return
-    site = Path(app.outdir) / "lite"
-    pyodide = app.config.pfedu_pyodide if _is_web(app.config.pfedu_pyodide) else "./../_static/pyodide/"
+    site = Path(app.outdir) / "_static/lite"
+    pyodide = app.config.pfedu_pyodide if _is_web(app.config.pfedu_pyodide) else "./../pyodide/"
     notebooks = [Path(app.env.doc2path(name)) for name in sorted(app.env.found_docs) if _is_notebook(app, name)]
     build_site(site, notebooks, pyodide)
 
@@ -128,8 +129,8 @@ def build_site(site, notebooks, pyodide):
 
     Raises
     ------
-    subprocess.CalledProcessError
-        If JupyterLite cannot be built.
+    RuntimeError
+        If JupyterLite cannot be built; what it said is in the message.
     """
     digest = _digest(notebooks, pyodide)
     stamp = site / "made-from"
@@ -144,8 +145,10 @@ def build_site(site, notebooks, pyodide):
     wheels = [wheel.name for wheel in write_wheels(work / "wheels")]
     (work / "jupyter-lite.json").write_text(json.dumps(_settings(pyodide, wheels, digest)), encoding="utf-8")
     (work / "jupyter_lite_config.json").write_text(json.dumps({"LiteBuildConfig": _config()}), encoding="utf-8")
-    command = [sys.executable, "-m", "jupyterlite_core", "build", "--lite-dir", ".", "--output-dir", site]
-    subprocess.run(command, cwd=work, check=True, stdout=subprocess.DEVNULL)
+    command = [sys.executable, "-m", "jupyterlite_core", "build", "--lite-dir", ".", "--output-dir", site.absolute()]
+    made = subprocess.run(command, cwd=work, capture_output=True, text=True)
+    if made.returncode:
+        raise RuntimeError(f"JupyterLite could not be built:\n{made.stdout}{made.stderr}")
     shutil.copytree(work / "wheels", site / "wheels" / digest)
     shutil.rmtree(work)
     stamp.write_text(digest, encoding="utf-8")
@@ -166,7 +169,7 @@ def _config():
         "apps": ["notebooks", "tree"],
         "contents": ["files"],
         "federated_extensions": [f"{sys.prefix}/share/jupyter/labextensions/{name}" for name in EXTENSIONS],
-        "ignore_sys_prefix": True,
+        "ignore_sys_prefix": ["federated_extensions"],
         "no_sourcemaps": True,
         "no_unused_shared_packages": True,
         "no_libarchive": True,
@@ -178,7 +181,11 @@ def _settings(pyodide, wheels, digest):
     up = "../" * _WORKER.count("/")
     packages = [*PRELOADED, *(f"{up}wheels/{digest}/{wheel}" for wheel in wheels)]
     kernel = {"pyodideUrl": f"{pyodide}pyodide.js", "loadPyodideOptions": {"packages": packages}}
-    data = {"appName": "Particle Filters, Alive", "appUrl": "./tree", "litePluginSettings": {f"{KERNEL}:kernel": kernel}}
+    data = {
+        "appName": "Particle Filters, Alive",
+        "appUrl": "./tree",
+        "litePluginSettings": {f"{KERNEL}:kernel": kernel},
+    }
     return {"jupyter-lite-schema-version": 0, "jupyter-config-data": data}
 
 
@@ -233,7 +240,9 @@ def write_wheels(folder):
     folder.mkdir(parents=True, exist_ok=True)
     package = [path for path in sorted(_PACKAGE.rglob("*")) if path.suffix in {".py", ".csv"}]
     contents = {path.relative_to(_PACKAGE.parent).as_posix(): path.read_bytes() for path in package}
-    shim = {"myst_nb.py": b'"""What the chapters use of myst-nb."""\n\nfrom pfedu.live.glue import glue  # noqa: F401\n'}
+    shim = {
+        "myst_nb.py": b'"""What the chapters use of myst-nb."""\n\nfrom pfedu.live.glue import glue  # noqa: F401\n'
+    }
     made = [("pfedu", pfedu.__version__, contents), ("myst_nb", distribution("myst-nb").version, shim)]
     made += [(name, distribution(name).version, _installed(name)) for name in BORROWED]
     return [_write_wheel(folder, *one) for one in made]

@@ -184,7 +184,7 @@ def _template():
 def _add_scripts(app, pagename, templatename, context, doctree):
     """The script and style of explorers, on the pages that have one; without what no page uses."""
     body = context.get("body", "")
-    context["body"] = body.replace("<img ", '<img loading="lazy" ')  # pictures come as the reader does
+    context["body"] = re.sub(r'<img (?!class="pfedu-poster")', '<img loading="lazy" ', body)  # as the reader comes
     if "script_files" in context:
         unused = ("thebe", "THEBE") if "widget-view+json" in body else ("thebe", "THEBE", "widget-state+json")
         context["script_files"][:] = [f for f in context["script_files"] if not any(u in _describe(f) for u in unused)]

