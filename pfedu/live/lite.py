@@ -18,6 +18,7 @@ import sys
 import zipfile
 from importlib.metadata import distribution
 from pathlib import Path
+from textwrap import indent
 
 import nbformat
 
@@ -32,6 +33,8 @@ FOLDED = {
     "source_hidden": {"hide-input", "hide-cell", "remove-input", "remove-cell"},
     "outputs_hidden": {"hide-output", "remove-output"},
 }
+# JupyterLite drops the cells that wait behind an error, also behind one that is meant
+_CAUGHT = 'try:\n{}\nexcept Exception as error:\n    print(f"{{type(error).__name__}}: {{error}}")'
 _WORKER = f"extensions/{KERNEL}/static/"  # the kernel's worker looks for its wheels from here
 
 
@@ -199,7 +202,7 @@ def prepared(notebook):
     Returns
     -------
     nbformat.NotebookNode
-        The same cells without outputs.
+        The same cells without outputs; an error that is meant is caught and printed, so that the next cell runs.
 
     Examples
     --------
@@ -216,6 +219,8 @@ def prepared(notebook):
         if cell.cell_type == "code":
             cell.outputs, cell.execution_count = [], None
             tags = set(cell.metadata.get("tags", []))
+            if "raises-exception" in tags:
+                cell.source = _CAUGHT.format(indent(cell.source, "    "))
             folded = {part: True for part, by in FOLDED.items() if tags & by}
             cell.metadata.update({"jupyter": folded} if folded else {})
     return notebook
