@@ -6,8 +6,10 @@ BIN := $(VENV)/$(if $(filter Windows_NT,$(OS)),Scripts,bin)
 export OPENBLAS_NUM_THREADS ?= 1# the arrays are small: more threads only stand in each other's way
 BUILD = $(BIN)/jupyter-book build -W -n --keep-going
 
+PDF = _build/particle-filters-alive.pdf
+
 .DEFAULT_GOAL := help
-.PHONY: help env browser book read test test-core test-browser test-lite self-hosted lab lint notebooks tables requirements clean
+.PHONY: help env browser book read test test-core test-browser test-lite self-hosted pdf lab lint notebooks tables requirements clean
 
 help: ## list what can be made
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "make %-13s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
@@ -32,6 +34,10 @@ test-lite: book self-hosted ## every chapter run to its end as a live notebook i
 
 self-hosted: env _build/pyodide/pyodide-lock.json ## build the book with its own Pyodide: it asks nothing of any other site
 	PFEDU_PYODIDE=_build/pyodide $(BUILD) --path-output _build/self-hosted .
+
+pdf: book ## print the book with Chromium into one PDF, and build it again with a link to that
+	$(BIN)/python -m pfedu.live.pdf _build/html $(PDF)
+	PFEDU_PDF=$(PDF) $(BUILD) .
 
 lab: env ## open the notebooks in JupyterLab
 	$(BIN)/jupyter lab book

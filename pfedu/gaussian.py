@@ -53,6 +53,64 @@ def _first(cov, bad):
     return cov[bad][0].tolist()
 
 
+def cholesky(cov):
+    """Cholesky factor; raises wherever numpy runs, while in the page numpy itself gives NaN.
+
+    Parameters
+    ----------
+    cov : ndarray, shape (..., n, n)
+
+    Returns
+    -------
+    ndarray, shape (..., n, n)
+        Lower triangular.
+
+    Raises
+    ------
+    numpy.linalg.LinAlgError
+        If a matrix is not positive definite.
+
+    Examples
+    --------
+    >>> from pfedu.gaussian import cholesky
+    >>> cholesky(np.array([[4.0]])).tolist()
+    [[2.0]]
+    """
+    return _or_raise(np.linalg.cholesky(cov), cov)
+
+
+def solve(A, B):
+    """Solution X of A X = B; raises wherever numpy runs, while in the page numpy itself gives NaN.
+
+    Parameters
+    ----------
+    A : ndarray, shape (..., n, n)
+    B : ndarray, shape (..., n, m)
+
+    Returns
+    -------
+    ndarray, shape (..., n, m)
+
+    Raises
+    ------
+    numpy.linalg.LinAlgError
+        If a matrix A is singular.
+
+    Examples
+    --------
+    >>> from pfedu.gaussian import solve
+    >>> solve(np.array([[4.0]]), np.array([[2.0]])).tolist()
+    [[0.5]]
+    """
+    return _or_raise(np.linalg.solve(A, B), A, B)
+
+
+def _or_raise(result, *given):
+    if not np.isfinite(result).all() and all(np.isfinite(array).all() for array in given):
+        raise np.linalg.LinAlgError("a singular matrix, or one that is not positive definite")
+    return result
+
+
 def sqrt_cov(cov, name="cov"):
     r"""A matrix S with :math:`S S^\top = P`, also for a singular P.
 
@@ -85,7 +143,7 @@ def sqrt_cov(cov, name="cov"):
     """
     cov = as_cov(cov, name)
     try:
-        return np.linalg.cholesky(cov)
+        return cholesky(cov)
     except np.linalg.LinAlgError:
         variances = np.diagonal(cov, axis1=-2, axis2=-1)  # (..., n)
     if (variances < 0).any():
@@ -222,7 +280,7 @@ def log_density(x, mean, cov, name="cov"):
     if d.shape[-1] != cov.shape[-1]:
         raise ValueError(f"points of {d.shape[-1]} components do not fit a covariance of shape {cov.shape}")
     try:
-        root = np.linalg.cholesky(cov)
+        root = cholesky(cov)
     except np.linalg.LinAlgError as error:
         smallest = np.linalg.eigvalsh(cov)[..., 0]
         raise ValueError(f"{name} is not positive definite: {_first(cov, smallest == smallest.min())}") from error

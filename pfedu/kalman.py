@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from pfedu.gaussian import log_density
+from pfedu.gaussian import log_density, solve
 from pfedu.models import require
 from pfedu.track import Track, read_record
 
@@ -297,7 +297,7 @@ def update(m, P, innovation, H, R):
     """
     S = H @ P @ _T(H) + R
     try:
-        K = _T(np.linalg.solve(S, H @ P))  # P and S are symmetric
+        K = _T(solve(S, H @ P))  # P and S are symmetric
     except np.linalg.LinAlgError as error:
         raise ValueError(
             "S = H P H' + R is singular: a measurement without noise of something known for certain"

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pfedu.gaussian import log_density, sqrt_cov
+from pfedu.gaussian import log_density, solve, sqrt_cov
 from pfedu.kalman import gaussian_filter, require_gaussian
 
 NOISES = ("additive", "augmented")
@@ -279,7 +279,7 @@ def by_points(model, k, m, y, X, transform, n):
     (y_mean, e, W), (_, d, _) = (centred(points, transform, n) for points in (model.h(k, X), X))
     S = np.swapaxes(e * W[:, None], -1, -2) @ e + model.R
     try:
-        K = np.swapaxes(np.linalg.solve(S, np.swapaxes(e * W[:, None], -1, -2) @ d), -1, -2)
+        K = np.swapaxes(solve(S, np.swapaxes(e * W[:, None], -1, -2) @ d), -1, -2)
     except np.linalg.LinAlgError as error:
         raise ValueError(f"step {k}: S is singular, a measurement without noise of something known") from error
     left = d - e @ np.swapaxes(K, -1, -2)  # as in Joseph's form: a difference of covariances loses digits

@@ -6,6 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from pfedu.gaussian import Gaussian, as_cov, log_density, sqrt_cov
+from pfedu.kalman import update
 
 SINGULAR = np.array([[1.0, 2.0, 0.0], [2.0, 4.0, 0.0], [0.0, 0.0, 3.0]])  # null direction (2, -1, 0)
 REGULAR = np.array([[2.0, 0.6, -0.3], [0.6, 1.0, 0.2], [-0.3, 0.2, 0.5]])
@@ -173,3 +174,30 @@ def test_noise_is_one_covariance():
     """Catches a batch of covariances where one is meant."""
     with pytest.raises(ValueError, match=r"R must be one matrix \(n, n\), got shape \(2, 1, 1\)"):
         Gaussian(np.ones((2, 1, 1)), "R")
+
+
+@pytest.fixture
+def numpy_of_the_page(monkeypatch):
+    """Linear algebra as numpy in the browser does it: nothing is raised, what fails is NaN."""
+
+    def silent(function):
+        def wrapped(*given):
+            try:
+                return function(*given)
+            except np.linalg.LinAlgError:
+                return np.full_like(given[-1], np.nan)
+
+        return wrapped
+
+    for name in ("cholesky", "solve"):
+        monkeypatch.setattr(np.linalg, name, silent(getattr(np.linalg, name)))
+
+
+def test_roots_and_messages_are_the_same_in_the_page(numpy_of_the_page):
+    """Catches a fallback, or a clear error, that is never reached where numpy cannot raise."""
+    root = sqrt_cov(SINGULAR)
+    np.testing.assert_allclose(root @ root.T, SINGULAR, atol=1e-12)
+    with pytest.raises(ValueError, match="P is not positive definite"):
+        log_density(np.zeros(3), 0.0, SINGULAR, "P")
+    with pytest.raises(ValueError, match="H P H' \\+ R is singular"):
+        update(np.zeros(1), np.zeros((1, 1)), np.ones(1), np.eye(1), np.zeros((1, 1)))

@@ -106,6 +106,8 @@ def test_site_has_the_notebook_and_what_its_kernel_starts_with(site):
         assert (site / urljoin(worker, wheel).removeprefix("http://here/")).is_file(), wheel
     assert {p for p in kernel["loadPyodideOptions"]["packages"] if not p.endswith(".whl")} <= set(WHEELS)
     assert (site / "files" / f"{CHOSEN[0]}.ipynb").is_file() and (site / "notebooks/index.html").is_file()
+    tables = [path.name for path in BOOK.glob("_data/*")]
+    assert sorted(path.name for path in site.glob("files/_data/*")) == sorted(tables)
     assert str(site.parent) not in (site / "jupyter-lite.json").read_text(encoding="utf-8")
 
 

@@ -4,13 +4,51 @@
 name of a widget's model is left out; both would differ at every run.
 """
 
+import os
 import sys
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import nbformat
+from jupyter_cache import get_cache
+from jupyter_cache.base import CacheBundleIn
+from jupyter_cache.executors.utils import single_nb_execution
 from nbclient import NotebookClient
 
 WIDGET = "application/vnd.jupyter.widget-view+json"
+
+
+def execute_into_cache(paths, folder, workers=None):
+    """Execute notebooks side by side, and keep them where the build of the book looks for them.
+
+    A notebook that fails is left out: the build executes it again, and says where it fails.
+
+    Parameters
+    ----------
+    paths : list of pathlib.Path
+    folder : str or pathlib.Path
+        A jupyter-cache; notebooks that it holds already are not executed.
+    workers : int, optional
+        How many at a time; by default one a core, and at most 4.
+    """
+    cache, wanted = get_cache(folder), []
+    for path in paths:
+        notebook = nbformat.read(path, as_version=4)
+        try:
+            cache.match_cache_notebook(notebook)
+        except KeyError:
+            wanted.append((path, notebook))
+
+    def run(job):
+        path, notebook = job
+        print(f"executing {path.name}", flush=True)
+        return single_nb_execution(notebook, cwd=str(path.parent), timeout=600)
+
+    with ThreadPoolExecutor(workers or min(os.cpu_count() or 1, 4)) as pool:
+        for (path, notebook), result in zip(wanted, pool.map(run, wanted), strict=True):
+            if result.err is None:
+                bundle = CacheBundleIn(notebook, str(path), data={"execution_seconds": result.time})
+                cache.cache_notebook_bundle(bundle, check_validity=False, overwrite=True)
 
 
 def execute(path):

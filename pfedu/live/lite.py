@@ -145,6 +145,9 @@ def build_site(site, notebooks, pyodide):
     (work / "files").mkdir(parents=True)
     for path in notebooks:
         nbformat.write(prepared(nbformat.read(path, 4)), work / "files" / path.name)
+    for path in _tables(notebooks):
+        (work / "files" / path.parent.name).mkdir(exist_ok=True)
+        shutil.copy(path, work / "files" / path.parent.name)
     wheels = [wheel.name for wheel in write_wheels(work / "wheels")]
     (work / "jupyter-lite.json").write_text(json.dumps(_settings(pyodide, wheels, digest)), encoding="utf-8")
     (work / "jupyter_lite_config.json").write_text(json.dumps({"LiteBuildConfig": _config()}), encoding="utf-8")
@@ -161,9 +164,14 @@ def _digest(notebooks, pyodide):
     """Digest of all that the site is made from."""
     made_from = [distribution(n).version for n in ("jupyterlite-core", "jupyterlite-pyodide-kernel", *BORROWED)]
     digest = hashlib.sha256("\n".join([*made_from, source_digest(), pyodide]).encode())
-    for path in notebooks:
+    for path in [*notebooks, *_tables(notebooks)]:
         digest.update(path.name.encode() + path.read_bytes())
     return digest.hexdigest()[:12]
+
+
+def _tables(notebooks):
+    """What notebooks read from the folder ``_data`` beside them."""
+    return sorted(file for folder in {path.parent for path in notebooks} for file in folder.glob("_data/*"))
 
 
 def _config():

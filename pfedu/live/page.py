@@ -7,6 +7,8 @@ One setting says where the page's Python comes from:
 ``pfedu_pyodide``
     A web address (by default Pyodide's public one), or a folder that is copied into the book, so
     that nothing is asked of any other site. The environment variable ``PFEDU_PYODIDE`` sets it too.
+
+Another, ``pfedu_pdf`` or ``PFEDU_PDF``, names the printed book, which the first page then offers.
 """
 
 import hashlib
@@ -26,6 +28,7 @@ from docutils import nodes
 
 from pfedu.explorers import load
 from pfedu.explorers.stage import Stage
+from pfedu.live.execute import execute_into_cache
 from pfedu.live.picture import small_png
 
 PYODIDE = "https://cdn.jsdelivr.net/pyodide/v0.27.7/full/"
@@ -40,6 +43,7 @@ _HERE = re.compile(
 def setup(app):
     """Connect the extension to Sphinx."""
     app.add_config_value("pfedu_pyodide", os.environ.get("PFEDU_PYODIDE") or PYODIDE, "html")
+    app.add_config_value("pfedu_pdf", os.environ.get("PFEDU_PDF", ""), "html")
     app.connect("config-inited", _cache_by_source)
     app.connect("config-inited", _light_mathjax)
     app.connect("builder-inited", _copy_files)
@@ -75,8 +79,10 @@ def source_digest(*leave_out):
 
 
 def _cache_by_source(app, config):
-    """Executed notebooks are kept until a cell or the package changes."""
+    """Executed notebooks are kept until a cell or the package changes; those wanted are executed side by side."""
     config.nb_execution_cache_path = str(Path(app.srcdir) / "_build" / ".notebooks" / source_digest())
+    if config.nb_execution_mode == "cache":
+        execute_into_cache(sorted((Path(app.srcdir) / "book").glob("*.ipynb")), config.nb_execution_cache_path)
 
 
 def _light_mathjax(app, config):
@@ -185,6 +191,9 @@ def _add_scripts(app, pagename, templatename, context, doctree):
     """The script and style of explorers, on the pages that have one; without what no page uses."""
     body = context.get("body", "")
     context["body"] = re.sub(r'<img (?!class="pfedu-poster")', '<img loading="lazy" ', body)  # as the reader comes
+    if app.config.pfedu_pdf and pagename == app.config.root_doc:
+        offer = f'<p class="pfedu-pdf"><a href="../_static/{Path(app.config.pfedu_pdf).name}">The book as a PDF</a></p>'
+        context["body"] = context["body"].replace("</h1>", f"</h1>\n{offer}", 1)
     if "script_files" in context:
         unused = ("thebe", "THEBE") if "widget-view+json" in body else ("thebe", "THEBE", "widget-state+json")
         context["script_files"][:] = [f for f in context["script_files"] if not any(u in _describe(f) for u in unused)]
@@ -220,6 +229,8 @@ def _copy_files(app):
     for name in ("explorer.js", "worker.js", "explorer.css"):
         shutil.copy(_STATIC / name, static / "pfedu")
     _zip_package(static / "pfedu" / "pfedu.zip")
+    if app.config.pfedu_pdf:
+        shutil.copy(Path(app.srcdir) / app.config.pfedu_pdf, static)
     if not _is_web(app.config.pfedu_pyodide):
         shutil.copytree(Path(app.srcdir) / app.config.pfedu_pyodide, static / "pyodide", dirs_exist_ok=True)
 
