@@ -6,7 +6,7 @@ from pfedu.filters.loop import Algorithm, advance, reweight
 from pfedu.models import require, streams
 from pfedu.resampling import scheme
 from pfedu.track import Track, read_record
-from pfedu.weights import effective_number, moments
+from pfedu.weights import effective_number
 
 
 def kld_number(n_bins, epsilon=0.05, z=2.326):
@@ -15,10 +15,10 @@ def kld_number(n_bins, epsilon=0.05, z=2.326):
     .. math::
         N = \frac{b - 1}{2 \varepsilon} \left(1 - \frac{2}{9 (b - 1)} + z \sqrt{\frac{2}{9 (b - 1)}}\right)^3
 
-    If N draws fall into b bins, 2 N times the Kullback-Leibler divergence of the drawn frequencies from the
+    If b bins have any probability, 2 N times the Kullback-Leibler divergence of the frequencies of N draws from the
     probabilities is nearly chi-square with b - 1 degrees of freedom. The bracket is Wilson and Hilferty's formula
     for its quantile at the probability where a standard normal has z. Source: Fox, *Adapting the sample size in
-    particle filters through KLD-sampling* (2003), equation 7.
+    particle filters through KLD-sampling* (2003).
 
     Parameters
     ----------
@@ -37,7 +37,7 @@ def kld_number(n_bins, epsilon=0.05, z=2.326):
     Raises
     ------
     ValueError
-        If there are no bins, or epsilon is not positive, or z not finite.
+        If there are no bins, or epsilon is not positive or asks for more than can be counted, or z not finite.
 
     Examples
     --------
@@ -54,13 +54,15 @@ def kld_number(n_bins, epsilon=0.05, z=2.326):
         raise ValueError(f"z must be a quantile of the standard normal, a finite number, got {z}")
     degrees = np.maximum(b - 1, 1)
     c = 2.0 / (9.0 * degrees)
-    n = np.ceil(degrees / (2.0 * epsilon) * np.maximum(1.0 - c + z * np.sqrt(c), 0.0) ** 3).astype(int)
-    n = np.where(b > 1, np.maximum(n, 1), 1)
+    n = np.ceil(degrees / (2.0 * epsilon) * np.maximum(1.0 - c + z * np.sqrt(c), 0.0) ** 3)
+    if not (n < 2.0**62).all():
+        raise ValueError(f"epsilon = {epsilon} asks for {n.max():.3g} draws, more than can be counted: allow more")
+    n = np.where(b > 1, np.maximum(n, 1), 1).astype(int)
     return n if n.ndim else int(n)
 
 
 def occupied_bins(x, bin_width):
-    """How many cells of a lattice hold at least one particle.
+    """How many cells of a lattice hold at least one particle; one that is nowhere (NaN or infinite) is in none.
 
     Parameters
     ----------
@@ -86,6 +88,7 @@ def occupied_bins(x, bin_width):
     width = np.asarray(bin_width, dtype=float)
     if width.shape not in {(), x.shape[-1:]} or not ((width > 0) & (width < np.inf)).all():
         raise ValueError(f"bin_width must be positive, one number or one a state ({x.shape[-1]}), got {bin_width}")
+    x = x[np.isfinite(x).all(axis=-1)]
     return len(np.unique(np.floor(x / width), axis=0))
 
 
@@ -148,6 +151,8 @@ def kld_filter(
     _check(y, least, most)
     pick, (rng_move, rng_pick) = scheme(resampling), streams(rng, 2)
     x, algorithm, steps = np.asarray(model.sample_initial(most, rng_move), dtype=float), _bootstrap(model), []
+    if x.shape != (most, model.n_x):
+        raise ValueError(f"sample_initial({most}, rng) must give shape ({most}, {model.n_x}), it gave {x.shape}")
     for k in range(len(y)):
         n = len(x)
         # Propose and weigh
@@ -155,9 +160,9 @@ def kld_filter(
         log_w, increment = reweight(np.full(n, -np.log(n)), log_g, k)
         # Estimate
         w = np.exp(log_w)
-        steps.append((*moments(x, w), 0.0 if missing[k] else increment, effective_number(w), True, n))
+        steps.append((*algorithm.estimate(x, log_w, w), 0.0 if missing[k] else increment, effective_number(w), True, n))
         # Count, and resample as many as the count asks for
-        n = int(np.clip(kld_number(occupied_bins(x, bin_width), epsilon, z), least, most))
+        n = int(np.clip(kld_number(max(1, occupied_bins(x, bin_width)), epsilon, z), least, most))
         x = x[pick(w, rng_pick, size=n)]
     *columns, n_particles = (np.stack(column) for column in zip(*steps, strict=True))
     return Track(*columns), n_particles

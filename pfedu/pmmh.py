@@ -44,7 +44,7 @@ class Chain:
 
     @property
     def acceptance(self):
-        """Share of the steps that moved: (...)."""
+        """Share of the steps that moved, the start being one that did not: (...)."""
         return self.accepted.mean(axis=-1)
 
     def after(self, n):
@@ -96,6 +96,7 @@ class Chain:
             raise ValueError(
                 f"n_batches must be a whole number from 2 to the {steps} steps of the chain, got {n_batches}"
             )
+        n_batches = int(n_batches)
         length = steps // n_batches
         rest = self.theta[..., steps - n_batches * length :, :]
         means = rest.reshape(*rest.shape[:-2], n_batches, length, d).mean(axis=-2)  # (..., batches, d)
@@ -121,7 +122,8 @@ def particle_metropolis_hastings(
     ----------
     model_of : callable
         ``(theta) -> StateSpaceModel``, for theta (d,) where the prior is positive. With several chains theta is
-        (n_chains, d), and the functions of the model must take states (n_chains, N, n_x).
+        (n_chains, d), and the functions of the model must take states (n_chains, N, n_x); a model of ``theta[0]``
+        would give all chains the parameters of the first.
     y : array_like, shape (T+1, n_y)
         Measurements, row k is time k. A row of NaN is missing.
     n_particles : int
@@ -151,7 +153,8 @@ def particle_metropolis_hastings(
         If a shape or a value does not fit, or the prior is zero where a chain starts.
     ZeroLikelihoodError
         If no particle explains the record at the start. Later on, in a single chain, that is an estimate of zero,
-        and rejected; of several chains it stops all, as it cannot be told which the others were.
+        and rejected; of several chains it stops all, as it cannot be told which the others were (a filter of one's
+        own may give -inf for the one).
 
     Examples
     --------
@@ -173,10 +176,9 @@ def particle_metropolis_hastings(
     rng_filter, rng_step, rng_decide = streams(rng, 3)
     records = np.broadcast_to(y, (*theta.shape[:-1], *y.shape))
     log_p = _log_prior(log_prior, theta)
-    if np.isneginf(log_p).any():
-        zero = theta[np.isneginf(log_p)].ravel() if theta.ndim == 1 else theta[np.isneginf(log_p)][0]
-        raise ValueError(f"the prior is zero at the start {zero.tolist()}: start where it is not")
+    _start_there(theta, log_p, "the prior", ValueError)
     log_z = _log_likelihood(filter, model_of, theta, records, n_particles, rng_filter)
+    _start_there(theta, log_z, "the estimate of the likelihood", ZeroLikelihoodError)
     states = [(theta, log_z, np.zeros(log_p.shape, dtype=bool))]
     for _ in range(n_steps):
         # Propose, and judge only what the prior allows
@@ -215,6 +217,13 @@ def _checked(start, step_cov, n_steps):
     return theta, step, int(n_steps)
 
 
+def _start_there(theta, log_p, what, error):
+    """A start where something is zero is an error, which names the first such."""
+    zero = np.atleast_1d(np.isneginf(log_p))
+    if zero.any():
+        raise error(f"{what} is zero at the start {np.atleast_2d(theta)[zero][0].tolist()}: start where it is not")
+
+
 def _log_prior(log_prior, theta):
     log_p = np.asarray(log_prior(read_only(theta)), dtype=float)
     if log_p.shape != theta.shape[:-1]:
@@ -226,8 +235,8 @@ def _log_prior(log_prior, theta):
 
 def _log_likelihood(filter, model_of, theta, records, n_particles, rng):
     log_z = filter(model_of(read_only(theta)), records, n_particles, rng=rng).log_likelihood
-    if np.shape(log_z) != theta.shape[:-1] or np.isnan(log_z).any():
+    if np.shape(log_z) != theta.shape[:-1] or not np.less(log_z, np.inf).all():  # false for NaN too
         raise ValueError(
-            f"the filter must give one log-likelihood a chain, shape {theta.shape[:-1]}, and no NaN; got {log_z}"
+            f"the filter must give one log-likelihood a chain, shape {theta.shape[:-1]}, and no NaN or inf; got {log_z}"
         )
     return log_z

@@ -9,6 +9,7 @@ through all particles anew.
 
 import numpy as np
 
+from pfedu.gaussian import solve
 from pfedu.grid import grid_filter, trapezoid_weights
 from pfedu.kalman import kalman_filter, predict
 from pfedu.models import require, streams
@@ -62,7 +63,7 @@ def rts_smoother(model, y):
         m_k, P_k = track.mean[..., k, :], track.cov[..., k, :, :]
         m_next, P_next = predict(m_k, P_k, model.F, model.Q)
         try:
-            G = np.swapaxes(np.linalg.solve(P_next, model.F @ P_k), -1, -2)
+            G = np.swapaxes(solve(P_next, model.F @ P_k), -1, -2)
         except np.linalg.LinAlgError as error:
             raise ValueError(
                 f"the covariance of the prediction of step {k + 1} is singular: some state is known for certain; give "
@@ -83,7 +84,7 @@ def grid_smoother(model, y, grid, *, tolerance=1e-3):
         p(x_k \mid Y_T) = p(x_k \mid Y_k) \int p(x_{k+1} \mid x_k)
         \frac{p(x_{k+1} \mid Y_T)}{p(x_{k+1} \mid Y_k)}\, dx_{k+1}
 
-    Source: Kitagawa, *Non-Gaussian state-space modeling of nonstationary time series* (1987), equation 2.4.
+    Source: Kitagawa, *Non-Gaussian state-space modeling of nonstationary time series* (1987).
 
     Parameters
     ----------

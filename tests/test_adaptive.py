@@ -166,6 +166,34 @@ def test_bad_input_is_an_error(options, message):
         pfedu.kld_filter(**given)
 
 
+def test_a_particle_that_is_nowhere_spoils_nothing():
+    """Catches NaN in every mean as soon as one particle has run away, although its weight is zero.
+
+    Draws of N(0, 1) above zero are lost; those below have the mean of the half-normal, to five standard errors of the
+    500 particles or more that carry the step.
+    """
+    runaway = StateSpaceModel(lambda n, rng: rng.standard_normal((n, 1)), lambda k, x, rng: np.where(x > 0, NAN, x),
+                              lambda k, y, x: np.where(x[..., 0] <= 0, 0.0, -np.inf))  # fmt: skip
+    y = np.array([[NAN], [0.0]])
+    track, n = pfedu.kld_filter(runaway, y, bin_width=0.1, most=20_000, rng=np.random.default_rng(1))
+    assert np.isfinite(track.mean).all() and np.isfinite(track.cov).all()
+    assert abs(track.mean[1, 0] + np.sqrt(2 / np.pi)) < 5 * np.sqrt((1 - 2 / np.pi) / 500) and n[1] > 500
+    assert occupied_bins(np.array([[NAN], [np.inf], [0.5], [0.6]]), 1.0) == 1
+
+
+def test_more_particles_than_can_be_counted_are_an_error():
+    """Catches an overflow that turns the largest demand into a single particle."""
+    with pytest.raises(ValueError, match="more than can be counted"):
+        kld_number(100, 1e-20)
+
+
+def test_a_prior_of_the_wrong_shape_is_named():
+    """Catches an error about indices."""
+    flat = StateSpaceModel(lambda n, rng: rng.standard_normal(n), WALK.propagate, WALK.log_likelihood)
+    with pytest.raises(ValueError, match=r"must give shape \(100, 1\), it gave \(100,\)"):
+        pfedu.kld_filter(flat, Y, bin_width=1.0, most=100, rng=np.random.default_rng(1))
+
+
 @pytest.mark.parametrize("bins", [0, -3, 2.5, [], [3, 0], "two"])
 def test_bins_that_are_none_are_an_error(bins):
     """Catches a number of particles for no cells at all."""

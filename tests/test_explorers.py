@@ -231,3 +231,30 @@ def test_sir_exact_answer_is_that_of_a_fine_grid(q, r, data):
     np.testing.assert_allclose(exact.mean, fine.mean, atol=1e-4)
     np.testing.assert_allclose(exact.sd, fine.sd, atol=1e-4)
     np.testing.assert_allclose(exact.log_likelihood_increments, fine.log_likelihood_increments, atol=1e-5)
+
+
+@pytest.mark.parametrize(("q", "noise"), [(0.1, 0.25), (1.0, 1.0), (10.0, 4.0)])
+def test_the_exact_returns_of_the_records_are_those_of_the_grid(q, noise):
+    """A grid of the explorer that is too coarse or too short: 1e-4 beside a finer and longer one."""
+    from pfedu.explorers import records
+
+    q, mu = records.Q[records.RETURNS] * q, records.MU + np.log(noise)
+    model = pfedu.models.stochastic_volatility(mu=mu, phi=records.PHI, q=q)
+    half = 5 + 6 * np.sqrt(q / (1 - records.PHI**2))
+    nodes = mu + np.linspace(-half, half, 1 + 2 * int(np.ceil(half / min(0.8 * np.sqrt(q), 0.25))))
+    exact = pfedu.grid_filter(model, records.CHANGE, nodes)
+    log_z, mean, sd = records._volatility(q, mu)
+    assert abs(log_z - exact.log_likelihood) < 1e-4
+    np.testing.assert_allclose(mean, exact.mean[:, 0], atol=1e-4)
+    np.testing.assert_allclose(sd, exact.sd[:, 0], atol=1e-4)
+
+
+def test_the_track_of_the_records_does_not_depend_on_the_dice(stages):
+    """A track taken from another run of the curve: with common dice it is read off, else run alone."""
+    explorer = load("records")
+    for moved in ({}, {"q": 0.1}, {"along": "noise", "noise": 0.5}):
+        shown = [
+            stages["records"].draw(explorer.check(moved | {"dice": dice}))[1].numbers for dice in ("new", "common")
+        ]
+        for name in ("log-likelihood, particles", "N_eff / N, lowest", "RMS distance of the means, in posterior sd"):
+            assert shown[0][name] == pytest.approx(shown[1][name], rel=1e-9)

@@ -202,6 +202,22 @@ def test_an_estimate_of_zero_is_rejected_and_at_the_start_an_error():
                log_prior=lambda theta: np.zeros(len(theta)))  # fmt: skip
 
 
+def test_a_filter_may_say_zero_of_one_chain():
+    """Catches -inf in the place of an error: NaN in the odds, or a chain that is told its start explains nothing."""
+
+    def box(model, y, n, rng):
+        return pfedu.Track(0, 0, np.where(np.abs(model) < 1, 0.0, -np.inf))
+
+    def several(start):
+        return single(model_of=lambda theta: theta, start=start, step_cov=1.0, n_steps=50, filter=box,
+                      log_prior=lambda theta: np.zeros(len(theta)))  # fmt: skip
+
+    chain = several(np.zeros((4, 1)))
+    assert (np.abs(chain.theta) < 1).all() and (0 < chain.acceptance).all() and (chain.acceptance < 0.95).all()
+    with pytest.raises(ZeroLikelihoodError, match=r"zero at the start \[3\.0\]"):
+        several(np.array([[0.0], [3.0]]))
+
+
 def _boxes(theta):
     def log_likelihood(k, y, x):
         return np.where(np.abs(y - x - theta[:, None])[..., 0] < 1, 0.0, -np.inf)
@@ -224,6 +240,7 @@ def _boxes(theta):
         ({"n_particles": 0}, "n_particles must be a whole number of at least 1"),
         ({"filter": lambda m, y, n, rng: pfedu.Track(0, 0, np.zeros((2, 1)))}, "one log-likelihood a chain"),
         ({"filter": lambda m, y, n, rng: pfedu.Track(0, 0, np.array([NAN]))}, "and no NaN"),
+        ({"filter": lambda m, y, n, rng: pfedu.Track(0, 0, np.array([np.inf]))}, "and no NaN or inf"),
     ],
 )
 def test_bad_input_is_an_error(options, message):
@@ -242,5 +259,6 @@ def test_a_chain_is_cut_and_divided_only_where_it_can_be():
     for n in (1, 5, 2.5):
         with pytest.raises(ValueError, match="n_batches must be a whole number from 2 to the 4 steps"):
             chain.standard_error(n)
+    assert chain.standard_error(2.0) == chain.standard_error(2)
     with pytest.raises(TypeError, match=r"rng must be a numpy\.random\.Generator"):
         single(rng=1)

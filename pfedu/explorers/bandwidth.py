@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 
 from pfedu.explorers.controls import Choice, Seed, Slider
-from pfedu.explorers.explorer import Explorer, Shown
+from pfedu.explorers.explorer import Explorer, Puzzle, Shown
 from pfedu.figures.style import COLORS
 from pfedu.filters.regularized import draw_kernel, optimal_bandwidth
 from pfedu.resampling import systematic
@@ -162,7 +162,7 @@ def build(axes):
         "exact": d.plot([], [], label="exact", **exact)[0],
         "comb": d.vlines([0], 0, 1, color=COLORS["truth"], lw=0.8, label="resampled (length: copies)"),
         "band": e.fill_between([0.1, 2], 1, 1, color=blue, alpha=0.2, lw=0, label=f"{CLOUDS} clouds, ± sd"),
-        "theory": e.plot([], [], label="formula", **exact)[0],
+        "theory": e.plot([], [], label="formula, not shrunk", **exact)[0],
         "mean": e.plot([], [], color=blue, lw=1.6, marker="o", ms=3, label="their mean")[0],
         "best": e.plot([], [], "v", color=green, ms=9, mfc="none", mew=1.6, label="least mean")[0],
         "here": e.plot([], [], label="cloud above", **cloud)[0],
@@ -212,7 +212,6 @@ def update(artists, axes, target, factor, N, kernel, shrink, particles):
     artists["mean"].set_data(FACTORS, mean)
     theory = _theory(target, N, kernel)
     artists["theory"].set_data(FACTORS, np.where(theory < 2.0, theory, np.nan))
-    artists["theory"].set_visible(shrink == "no")
     artists["best"].set_data([FACTORS[mean.argmin()]], [mean.min()])
     artists["here"].set_data([factor], [error])
     ratios = _show_variance(artists, one, many, at)
@@ -290,6 +289,33 @@ def _say(one, factor, x, errors, ratios):
     return Shown(sentence, numbers)
 
 
+def _fine_enough(params, numbers):
+    """Whether two peaks are smoothed with little error."""
+    return params["target"] == "two peaks" and numbers[f"error, mean of {CLOUDS} clouds, per cent"] < 2
+
+
+def _right_variance_wrong_shape(params, numbers):
+    """Whether the moved points have the exact variance, and their density has another shape."""
+    off = abs(numbers[f"variance ratio, mean of {CLOUDS} clouds"] - 1)
+    return off < 0.03 and numbers[f"error, mean of {CLOUDS} clouds, per cent"] > 30
+
+
+PUZZLES = (
+    Puzzle(
+        f"Keep the posterior with two peaks, and find a setting with which the mean error of the {CLOUDS} clouds is "
+        "below 2 per cent.",
+        _fine_enough,
+        {"N": 1000, "factor": 0.4},
+    ),
+    Puzzle(
+        "Get the variance right and the shape wrong: find a setting with which the moved points have on average the "
+        f"exact variance, within 3 per cent, and the mean error of the {CLOUDS} clouds is above 30 per cent.",
+        _right_variance_wrong_shape,
+        {"shrink": "yes", "factor": 1.4},
+    ),
+)
+
+
 EXPLORER = Explorer(
     title="How wide a kernel?",
     controls=CONTROLS,
@@ -305,4 +331,5 @@ EXPLORER = Explorer(
         *({"kernel": "epanechnikov", "factor": f} for f in (0.3, 0.5)),
         *({"factor": 0.4, "N": n} for n in (50, 500, 2000)),
     ),
+    puzzles=PUZZLES,
 )

@@ -7,7 +7,7 @@ import numpy as np
 
 import pfedu
 from pfedu.explorers.controls import Choice, Seed, Slider, geometric
-from pfedu.explorers.explorer import Explorer, Shown
+from pfedu.explorers.explorer import Explorer, Puzzle, Shown
 from pfedu.figures.style import COLORS
 
 T = 15
@@ -268,6 +268,38 @@ def _sentence(model, exact, k, corrected, lost, numbers):
             f"the truth is {truth:.2f}.{kalman}")  # fmt: skip
 
 
+def _share_left(numbers):
+    """What the last half step has left of the variance."""
+    return (numbers["its standard deviation"] / numbers["standard deviation half a step before"]) ** 2
+
+
+def _half_is_taken(params, numbers):
+    """Whether a correction of the settled random walk leaves one half of the variance, to three digits."""
+    if (params["model"], params["missing"]) != (WALK, "none") or params["t"] < 10 or params["t"] % 1:
+        return False
+    return abs(_share_left(numbers) - 0.5) < 5e-4
+
+
+def _less_sure(params, numbers):
+    """Whether a correction after time 0 makes the standard deviation half as large again."""
+    return params["model"] == GROWTH and params["t"] > 0 and params["t"] % 1 == 0 and _share_left(numbers) >= 1.5**2
+
+
+PUZZLES = (
+    Puzzle(
+        "Take the random walk with nothing missing, and find q and r with which every correction from time 10 on takes "
+        "away one half of the variance, exact to three digits.",
+        _half_is_taken,
+        {"model": WALK, "t": 10.0, "q": 4.0, "r": 8.0},
+    ),
+    Puzzle(
+        "Take the growth model, and find a correction after time 0 that makes the standard deviation at least half as "
+        "large again.",
+        _less_sure,
+        {"t": 12.0, "q": 20.0, "data": 5},
+    ),
+)
+
 _LINEAR = {"model": WALK}
 EXPLORER = Explorer(
     title="Predict and correct, half a step at a time",
@@ -283,4 +315,5 @@ EXPLORER = Explorer(
         *(_LINEAR | {"missing": "times 5 to 9", "t": t} for t in (4.0, 5.0, 7.0, 9.0, 10.0, 11.0)),
         *({"model": CORRIDOR, "q": q, "t": t} for q in (1.0, 10.0) for t in (0.0, 4.0, 8.0, 15.0)),
     ),
+    puzzles=PUZZLES,
 )

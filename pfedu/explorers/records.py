@@ -7,7 +7,7 @@ import numpy as np
 import pfedu
 from pfedu.data import nile, sp500
 from pfedu.explorers.controls import Choice, Seed, Slider, geometric
-from pfedu.explorers.explorer import Explorer, Shown
+from pfedu.explorers.explorer import Explorer, Puzzle, Shown
 from pfedu.figures.style import COLORS
 from pfedu.models import StateSpaceModel
 from pfedu.resampling import always
@@ -54,21 +54,23 @@ def _river(q, r):
 
 
 def _volatility(q, mu):
-    """What ``pfedu.grid_filter`` gives; the transition is the same at all times, so one matrix serves them all."""
-    reach, step = 4.0 + 6.0 * np.sqrt(q / (1 - PHI**2)), min(0.8 * np.sqrt(q), 0.2)
+    """What ``pfedu.grid_filter`` gives; the transition is the same at all times, so one matrix serves them all.
+
+    Nodes one standard deviation of a step apart are enough: of a Gaussian, the sum is then right to 1e-8.
+    """
+    reach, step = 3.0 + 5.0 * np.sqrt(q / (1 - PHI**2)), min(np.sqrt(q), 0.3)
     z = np.linspace(-reach, reach, 1 + 2 * int(np.ceil(reach / step)))  # state minus mu
     h = z[1] - z[0]
     moves = np.exp(-0.5 * (z[:, None] - PHI * z) ** 2 / q) * (h / np.sqrt(2 * np.pi * q))
-    p, total = np.exp(-0.5 * z**2 * (1 - PHI**2) / q) * (h * np.sqrt((1 - PHI**2) / (2 * np.pi * q))), 0.0
+    p = np.exp(-0.5 * z**2 * (1 - PHI**2) / q) * (h * np.sqrt((1 - PHI**2) / (2 * np.pi * q)))
     g = np.exp(-0.5 * (np.log(2 * np.pi) + mu + z + CHANGE[:, None] ** 2 * np.exp(-mu - z)))  # (days, nodes)
-    masses = []
+    masses, sums = np.empty(g.shape), np.empty(len(g))
     for k in range(len(g)):
         p = (moves @ p if k else p) * g[k]
-        total += np.log(p.sum())
-        p = p / p.sum()
-        masses.append(p)
-    mean = np.array(masses) @ z
-    return total, mu + mean, np.sqrt(np.array(masses) @ z**2 - mean**2)
+        sums[k] = p.sum()
+        masses[k] = p = p / sums[k]
+    mean = masses @ z
+    return np.log(sums).sum(), mu + mean, np.sqrt(masses @ z**2 - mean**2)
 
 
 @lru_cache(maxsize=32)
@@ -147,11 +149,16 @@ def build(axes):
 def update(artists, axes, record, N, q, noise, along, dice, particles):
     """Filter the record, and along the curve, and give the artists their data."""
     _, mean, sd = _exact(record, q, noise)
-    track = _filter(record, N, (q,), (noise,), "new", particles)  # the same whatever the curve shows
     values = POSITIONS[along]
     pairs = [(v, noise) if along == "q" else (q, v) for v in values]
     curve = np.array([_exact(record, *pair)[0] for pair in pairs])
-    points = _filter(record, N, *zip(*pairs, strict=True), dice, particles).log_likelihood
+    runs = _filter(record, N, *zip(*pairs, strict=True), dice, particles)
+    points, here = runs.log_likelihood, pairs.index((q, noise))
+    if dice == "common":  # what it would be alone, with the same dice
+        fields = (runs.mean, runs.cov, runs.log_likelihood_increments, runs.n_eff)
+        track = pfedu.Track(*(field[here : here + 1] for field in fields))
+    else:  # the same whatever the curve shows
+        track = _filter(record, N, (q,), (noise,), "new", particles)
     times = YEAR if record == NILE else np.arange(len(CHANGE))
     _show_track(artists, axes["track"], record, times, mean, sd, track)
     _show_curve(artists, axes["curve"], along, values, curve, points, q if along == "q" else noise)
@@ -229,6 +236,34 @@ def _say(record, N, q, noise, along, dice, times, mean, sd, track, values, curve
     return Shown(sentence, numbers)
 
 
+def _smooth_and_wrong(params, numbers):
+    smooth = numbers["scatter of the error between neighbours"] < 0.2
+    far = numbers["best on the curve, particles"] < 0.5 * numbers["best on the curve, exact"]
+    return params["record"] == NILE and params["along"] == "q" and smooth and far
+
+
+def _far_short(params, numbers):
+    short = numbers["log-likelihood, exact"] - numbers["log-likelihood, particles"]
+    return params["record"] == RETURNS and params["N"] == 500 and short >= 20
+
+
+PUZZLES = (
+    Puzzle(
+        "Let the Nile's curve along q be smooth and wrong: from one point to the next the error of the particles "
+        "changes by less than 0.2 (sd), and yet their curve is highest at less than half of the q at which the exact "
+        "one is.",
+        _smooth_and_wrong,
+        {"dice": "common and sorted", "N": 220},
+    ),
+    Puzzle(
+        "Find parameters for the S&P 500 at which the log-likelihood by 500 particles falls at least 20 short of the "
+        "exact one.",
+        _far_short,
+        {"record": RETURNS, "N": 500, "q": 0.1, "noise": 0.25},
+    ),
+)
+
+
 EXPLORER = Explorer(
     title="A real record and the likelihood of its parameters",
     controls=CONTROLS,
@@ -245,4 +280,5 @@ EXPLORER = Explorer(
         *({"dice": dice, "N": 500} for dice in DICE),
         {"record": RETURNS, "along": "noise"},
     ),
+    puzzles=PUZZLES,
 )

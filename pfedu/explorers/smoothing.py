@@ -6,7 +6,7 @@ import numpy as np
 
 import pfedu
 from pfedu.explorers.controls import Choice, Seed, Slider, geometric
-from pfedu.explorers.explorer import Explorer, Shown
+from pfedu.explorers.explorer import Explorer, Puzzle, Shown
 from pfedu.figures.density import particle_histogram
 from pfedu.figures.style import COLORS
 from pfedu.resampling import always, ratio, systematic
@@ -159,6 +159,30 @@ def _say(known, exact, smooth, counts, method, N, policy, k):
     return Shown(sentence, numbers)
 
 
+def _lines_win(params, numbers):
+    lines, backward = (numbers[f"distance to the exact mean in smoothing sd, {name}"] for name in METHODS)
+    return params["data"] == params["particles"] == 1 and lines < backward
+
+
+def _ten_eves(params, numbers):
+    return params["k"] == 0 and params["N"] <= 100 and numbers["different ancestors at step k"] >= 10
+
+
+PUZZLES = (
+    Puzzle(
+        "Let the ancestral lines come closer to the exact mean, over all steps, than backward simulation does, with "
+        "the data and the particles of the start.",
+        _lines_win,
+        {"N": 200, "r": 20.0},
+    ),
+    Puzzle(
+        "At step 0 keep at least ten different ancestors of 100 particles or fewer.",
+        _ten_eves,
+        {"N": 100, "policy": "below half of N", "r": 20.0, "k": 0},
+    ),
+)
+
+
 EXPLORER = Explorer(
     title="Ancestral lines and backward paths beside the exact smoother",
     controls=CONTROLS,
@@ -174,4 +198,5 @@ EXPLORER = Explorer(
         {"policy": "below half of N", "r": 20.0},
         {"policy": "below half of N", "N": 500},
     ),
+    puzzles=PUZZLES,
 )

@@ -6,7 +6,7 @@ import numpy as np
 
 import pfedu
 from pfedu.explorers.controls import Choice, Seed, Slider
-from pfedu.explorers.explorer import Explorer, Shown
+from pfedu.explorers.explorer import Explorer, Puzzle, Shown
 from pfedu.figures.style import COLORS
 from pfedu.models import AdditiveGaussian, growth, random_walk
 
@@ -242,6 +242,37 @@ def _read(value):
     return "0" if value < 1e-6 else f"{value:.2g}" if value < 100 else f"{value:.0f}"
 
 
+def _good(numbers):
+    """The filters in the shaded region."""
+    return [name for name in COSTS if numbers[f"distance to the exact mean in sd, {name}"] <= GOOD]
+
+
+def _points_but_no_tangent(params, numbers):
+    """Whether sigma points follow the bearing and a tangent does not."""
+    good = _good(numbers)
+    return params["system"] == "bearing" and "UKF" in good and "EKF" not in good
+
+
+def _only_local_linear(params, numbers):
+    """Whether local linearisation alone is good on the growth model."""
+    return params["system"] == "growth model" and _good(numbers) == ["local linear"]
+
+
+PUZZLES = (
+    Puzzle(
+        "Choose the bearing, and find noises with which the UKF is in the shaded region and the EKF is not.",
+        _points_but_no_tangent,
+        {"system": "bearing", "q": 4},
+    ),
+    Puzzle(
+        "On the growth model, find a setting with which local linearisation is in the shaded region and every other "
+        "filter outside.",
+        _only_local_linear,
+        {"q": 0.5, "N": 300},
+    ),
+)
+
+
 EXPLORER = Explorer(
     title="What each filter costs, and how far it is from the exact answer",
     controls=CONTROLS,
@@ -258,4 +289,5 @@ EXPLORER = Explorer(
         *({"shown": "EKF", "data": seed} for seed in (2, 3)),
         {"system": "bearing", "q": 4},
     ),
+    puzzles=PUZZLES,
 )

@@ -88,7 +88,7 @@ def _cache_by_source(app, config):
 def _light_mathjax(app, config):
     """MathJax in the parts that the book uses: two thirds of its weight, with what screen readers need."""
     config.mathjax_path = "mathjax/startup.js"
-    parts = ["core", "input/tex", "output/chtml", "output/chtml/fonts/tex", "a11y/assistive-mml"]
+    parts = ["input/tex", "output/chtml", "a11y/assistive-mml"]
     config.mathjax3_config = (config.mathjax3_config or {}) | {"loader": {"load": parts}}
 
 
@@ -191,6 +191,7 @@ def _add_scripts(app, pagename, templatename, context, doctree):
     """The script and style of explorers, on the pages that have one; without what no page uses."""
     body = context.get("body", "")
     context["body"] = re.sub(r'<img (?!class="pfedu-poster")', '<img loading="lazy" ', body)  # as the reader comes
+    context["body"] = context["body"].replace('role="list" class="citation-list"', 'class="citation-list"')  # no items
     if app.config.pfedu_pdf and pagename == app.config.root_doc:
         offer = f'<p class="pfedu-pdf"><a href="../_static/{Path(app.config.pfedu_pdf).name}">The book as a PDF</a></p>'
         context["body"] = context["body"].replace("</h1>", f"</h1>\n{offer}", 1)
