@@ -24,7 +24,8 @@ read: book ## build the book, serve it on 127.0.0.1 and open the browser
 test: test-core test-browser ## everything: code, notebooks, book, and the book in a real browser
 
 test-core: lint ## code and notebooks
-	$(BIN)/python -m pytest -m "not browser" -n 2 --dist loadfile
+	$(BIN)/python -m pytest -m "not browser" -n 2 pfedu tests
+	$(BIN)/python -m pytest -m "not browser" -n 2 --dist loadfile book
 
 test-browser: book self-hosted ## the built book in Chromium; says so where there is none
 	$(BIN)/python -m pytest -m browser tests/test_browser.py tests/test_lite.py -n 2

@@ -23,8 +23,8 @@ UP = 180_000  # ms that Python may take to come up on a slow machine
 
 
 @contextmanager
-def reading(chromium, address, **options):
-    """A page with everything it asks of others, and every error, recorded."""
+def reading(chromium, address, mathematics=True, **options):
+    """A page with everything it asks of others, and every error, recorded; without mathematics it is up sooner."""
     context = chromium.new_context(**{"viewport": {"width": 1280, "height": 900}} | options)
     page = context.new_page()
     page.foreign, page.errors, page.asked = [], [], []
@@ -33,6 +33,8 @@ def reading(chromium, address, **options):
         page.foreign.append(route.request.url)
         route.abort()
 
+    if not mathematics:
+        context.route("**/mathjax/startup.js", lambda route: route.fulfill(body="", content_type="text/javascript"))
     context.route(lambda url: not url.startswith((address, "data:", "blob:", "file:")), guard)
     page.on("request", lambda request: page.asked.append(request.url))
     page.on("pageerror", lambda error: page.errors.append(str(error)))
@@ -119,46 +121,11 @@ def typeset(page):
 # ---- every page ---------------------------------------------------------------------------------------------------
 
 
-def test_no_page_errs_or_asks_another_site(chromium, book_folder, book):
-    for path in all_pages(book_folder):
-        with reading(chromium, book) as page:
-            page.goto(book + path, wait_until="load")
-            typeset(page)
-            page.wait_for_timeout(300)
-            assert page.errors == [], path
-            assert page.foreign == [], path
-            raw = page.evaluate("document.querySelectorAll('mjx-merror, .problematic').length")
-            assert raw == 0, f"{path}: mathematics or a reference that did not resolve"
-
-
 def test_index_leads_to_the_preface(chromium, book):
     with reading(chromium, book) as page:
         page.goto(book)
         page.wait_for_url("**/preface.html")
         assert "Particle Filters" in page.title()
-
-
-def test_every_picture_is_there_and_has_words(chromium, book_folder, book):
-    for path in all_pages(book_folder):
-        with reading(chromium, book) as page:
-            page.goto(book + path, wait_until="load")
-            page.evaluate("document.querySelectorAll('article img').forEach(i => { i.loading = 'eager' })")
-            page.wait_for_function("[...document.querySelectorAll('article img')].every(i => i.complete)")
-            bad = page.evaluate(
-                "[...document.querySelectorAll('article img')].filter(i => !i.naturalWidth"
-                " || !(i.getAttribute('alt') || '').trim() || /^\\.\\.|_images/.test(i.alt)).map(i => i.src)"
-            )
-            assert bad == [], path
-
-
-@pytest.mark.parametrize("width", [390, 640, 1280])  # 640: a desk at 200 %
-def test_no_page_scrolls_sideways(chromium, book_folder, book, width):
-    for path in all_pages(book_folder):
-        with reading(chromium, book, viewport={"width": width, "height": 800}) as page:
-            page.goto(book + path, wait_until="load")
-            page.wait_for_timeout(500)
-            over = page.evaluate("document.documentElement.scrollWidth - document.documentElement.clientWidth")
-            assert over <= 0, f"{path} is {over} px wider than the screen"
 
 
 def pages_of_the_source():
@@ -168,27 +135,58 @@ def pages_of_the_source():
 
 
 @pytest.mark.parametrize("path", pages_of_the_source())
-def test_nothing_serious_stands_in_the_way_of_anyone(chromium, book, path):
-    """What axe-core finds: names, roles, order, and contrast in both themes. Mathematics is left out: it is MathJax's."""
-    axe = pytest.importorskip("axe_playwright_python.sync_playwright").Axe()
+def test_page_is_sound_fits_every_screen_and_stands_in_nobodys_way(chromium, book, path):
+    """One visit: errors, other sites, mathematics, pictures and their words, axe-core in both themes, three widths."""
     with reading(chromium, book) as page:
         page.goto(book + path, wait_until="load")
         typeset(page)
-        found = {}
-        for theme in ("light", "dark"):
-            page.evaluate(
-                "t => { document.documentElement.dataset.mode = document.documentElement.dataset.theme = t }", theme
-            )
-            rules = {} if theme == "light" else {"runOnly": ["color-contrast"]}
-            options = {"resultTypes": ["violations"], **rules}
-            found[theme] = axe.run(page, {"exclude": [["mjx-container"]]}, options).response["violations"]
-        serious = [
-            f"{theme}: {v['id']} ({v['impact']}, {len(v['nodes'])} times): {v['help']}: {v['nodes'][0]['html'][:150]}"
-            for theme, violations in found.items()
-            for v in violations
-            if v["impact"] in {"serious", "critical"}
-        ]
-        assert not serious, "\n".join(serious)
+        page.evaluate("document.querySelectorAll('article img').forEach(i => { i.loading = 'eager' })")
+        page.wait_for_function("[...document.querySelectorAll('article img')].every(i => i.complete)")
+        raw = page.evaluate("document.querySelectorAll('mjx-merror, .problematic').length")
+        assert raw == 0, "mathematics or a reference that did not resolve"
+        bad = page.evaluate(
+            "[...document.querySelectorAll('article img')].filter(i => !i.naturalWidth"
+            " || !(i.getAttribute('alt') || '').trim() || /^\\.\\.|_images/.test(i.alt)).map(i => i.src)"
+        )
+        assert bad == []
+        assert _serious(page) == []
+        for width in (1280, 640, 390):  # a desk, the same at 200 %, a phone
+            page.set_viewport_size({"width": width, "height": 800})
+            page.wait_for_timeout(200)
+            over = page.evaluate("document.documentElement.scrollWidth - document.documentElement.clientWidth")
+            assert over <= 0, f"{over} px wider than a screen of {width}"
+        assert page.errors == []
+        assert page.foreign == []
+
+
+def _serious(page):
+    """What axe-core finds serious: names, roles, order, contrast in both themes. Formulas are MathJax's own."""
+    axe = pytest.importorskip("axe_playwright_python.sync_playwright").Axe()
+    found = []
+    for theme, rules in {"light": {}, "dark": {"runOnly": ["color-contrast"]}}.items():
+        page.evaluate("theme => Object.assign(document.documentElement.dataset, {mode: theme, theme})", theme)
+        options = {"resultTypes": ["violations"], **rules}
+        for v in axe.run(page, {"exclude": [["mjx-container"]]}, options).response["violations"]:
+            if v["impact"] in {"serious", "critical"}:
+                found.append(f"{theme}: {v['id']}, {len(v['nodes'])} times: {v['help']}: {v['nodes'][0]['html'][:150]}")
+    return found
+
+
+def test_every_page_of_the_site_was_visited(book_folder):
+    """A page that the tests above do not know of."""
+    own = {path for path in all_pages(book_folder) if "_static" not in path}
+    assert own == set(pages_of_the_source())
+
+
+def test_nothing_moves_for_readers_who_asked_for_that(chromium, book):
+    with reading(chromium, book, reduced_motion="reduce") as page:
+        page.goto(book + "book/preface.html", wait_until="load")
+        slow = page.evaluate(
+            "[...document.querySelectorAll('*')].map(e => getComputedStyle(e)).filter(s =>"
+            " [s.transitionDuration, s.animationDuration].some(d => parseFloat(d) > 0.001)"
+            " || s.scrollBehavior === 'smooth').length"
+        )
+        assert slow == 0
 
 
 # ---- before any script, and without Python ------------------------------------------------------------------------
@@ -209,7 +207,7 @@ def test_picture_without_script_from_a_file_and_on_paper(chromium, book_folder, 
 
 @every_explorer
 def test_frames_answer_the_first_drag_though_python_cannot_be_had(chromium, book, path, name):
-    with reading(chromium, book) as page:
+    with reading(chromium, book, mathematics=False) as page:
         page.goto(book + path)
         assert page.foreign == []
         for control in load(name).controls:
@@ -230,7 +228,7 @@ def test_frames_answer_the_first_drag_though_python_cannot_be_had(chromium, book
 
 @every_explorer
 def test_nearest_frame_says_so_and_two_controls_moved_do_not_lie(chromium, book, path, name):
-    with reading(chromium, book) as page:
+    with reading(chromium, book, mathematics=False) as page:
         page.goto(book + path)
         controls = [c for c in load(name).controls if not isinstance(c, Seed)]
         start = positions(page, name)
@@ -263,7 +261,7 @@ def _pair_without_a_frame(explorer, controls, start):
 
 @every_explorer
 def test_time_runs_and_stops_by_keyboard_without_python(chromium, book, path, name):
-    with reading(chromium, book) as page:
+    with reading(chromium, book, mathematics=False) as page:
         page.goto(book + path)
         play = figure(page, name).locator(".pfedu-play")
         if not play.count():
@@ -290,7 +288,7 @@ def test_time_runs_and_stops_by_keyboard_without_python(chromium, book, path, na
 
 @every_explorer
 def test_controls_are_labelled_and_answer_to_the_keyboard(chromium, book, path, name):
-    with reading(chromium, book) as page:
+    with reading(chromium, book, mathematics=False) as page:
         page.goto(book + path)
         for control in load(name).controls:
             if isinstance(control, Seed):
@@ -308,7 +306,7 @@ def test_controls_are_labelled_and_answer_to_the_keyboard(chromium, book, path, 
 
 @every_explorer
 def test_a_phone_gets_the_narrow_picture(chromium, book, path, name):
-    with reading(chromium, book, viewport={"width": 390, "height": 800}) as page:
+    with reading(chromium, book, mathematics=False, viewport={"width": 390, "height": 800}) as page:
         page.goto(book + path)
         poster = figure(page, name).locator(".pfedu-poster")
         assert "/narrow-" in poster.evaluate("i => i.currentSrc")
@@ -336,7 +334,7 @@ def test_opened_as_a_file_it_says_why_python_does_not_start(chromium, book_folde
 
 @every_explorer
 def test_python_comes_slowly_and_answers_every_control_with_the_native_numbers(chromium, own_book, path, name):
-    with reading(chromium, own_book) as page:
+    with reading(chromium, own_book, mathematics=False) as page:
         held = []
         page.context.route("**/pyodide.asm.wasm", lambda route: held.append(route))
         page.goto(own_book + path)
@@ -440,7 +438,7 @@ def _broken_archive(folder, name):
 def test_an_error_in_a_redraw_is_said_and_the_explorer_goes_on(chromium, own_book, book_folder):
     path, name = next(pair for pair in EXPLORERS if pair[1] == "sir")
     slider = next(c for c in load(name).controls if 0 in c.values and 1 in c.values)
-    with reading(chromium, own_book) as page:
+    with reading(chromium, own_book, mathematics=False) as page:
         archive = _broken_archive(book_folder, slider.name.encode())
         page.route("**/pfedu.zip*", lambda route: route.fulfill(body=archive, content_type="application/zip"))
         page.goto(own_book + path)
