@@ -6,8 +6,10 @@ import json
 import threading
 import zipfile
 
+import nbformat
 import numpy as np
 import pytest
+from nbformat.v4 import new_code_cell, new_notebook
 from PIL import Image
 
 from pfedu.explorers import Seed, load, names
@@ -166,6 +168,25 @@ def test_package_archive_is_reproducible_and_complete(tmp_path):
     assert {"pfedu/__init__.py", "pfedu/explorers/sir.py", "pfedu/live/browser.py", "pfedu/data/nile.csv"} <= set(
         inside
     )
+
+
+def test_notebooks_are_executed_once_and_one_that_fails_is_left_to_the_build(tmp_path):
+    """A cache that holds what was never run, or that misses what was."""
+    from jupyter_cache import get_cache
+
+    from pfedu.live.execute import execute_into_cache
+
+    paths = [tmp_path / "right.ipynb", tmp_path / "wrong.ipynb"]
+    for path, source in zip(paths, ("print(6 * 7)", "1 / 0"), strict=True):
+        notebook = new_notebook(cells=[new_code_cell(source)])
+        notebook.metadata["kernelspec"] = {"name": "python3", "display_name": "Python 3", "language": "python"}
+        nbformat.write(notebook, path)
+    execute_into_cache(paths, tmp_path / "cache")
+    cache = get_cache(tmp_path / "cache")
+    right, wrong = (nbformat.read(path, 4) for path in paths)
+    assert cache.merge_match_into_notebook(right)[1].cells[0].outputs[0].text == "42\n"
+    with pytest.raises(KeyError):
+        cache.match_cache_notebook(wrong)
 
 
 def test_digest_follows_the_source():

@@ -42,7 +42,7 @@ def execute_into_cache(paths, folder, workers=None):
     def run(job):
         path, notebook = job
         print(f"executing {path.name}", flush=True)
-        return single_nb_execution(notebook, cwd=str(path.parent), timeout=600)
+        return single_nb_execution(notebook, cwd=str(path.parent), timeout=600, allow_errors=False)
 
     with ThreadPoolExecutor(workers or min(os.cpu_count() or 1, 4)) as pool:
         for (path, notebook), result in zip(wanted, pool.map(run, wanted), strict=True):
