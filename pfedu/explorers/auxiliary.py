@@ -199,6 +199,7 @@ EXPLORER = Explorer(
         *({"q": q, "look": look} for q in (1.0, 10.0) for look in ("draw", "exact")),
         *({"q": q, "outlier": 0, "k": 10} for q in CONTROLS[0].frames()),
         {"q": 10.0, "particles": 1},
+        *({"outlier": 0, "q": q} for q in (0.01, 1.0, 10.0)),
     ),
     puzzles=PUZZLES,
 )

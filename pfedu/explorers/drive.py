@@ -337,6 +337,7 @@ EXPLORER = Explorer(
         {"k": 100, "r": 10.0},
         {"k": 100, "q": 0.1},
         {"k": 0, "estimate": "maxweight"},
+        *({"every": 20, "k": k} for k in (30, 39, 40)),
     ),
     puzzles=PUZZLES,
 )

@@ -321,6 +321,7 @@ EXPLORER = Explorer(
         *({"order": "sorted by state", "N": n} for n in (16, 32, 64)),
         *({"scheme": name, "draw": draw} for name in NAMES if name != "systematic" for draw in (2, 3, 4)),
         *({"sharpness": 0.0, "scheme": name} for name in NAMES),
+        {"order": "alternating", "draw": 3},
     ),
     puzzles=PUZZLES,
 )

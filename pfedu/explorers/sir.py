@@ -251,6 +251,7 @@ EXPLORER = Explorer(
     also=(
         *({"model": "random walk", "r": r} for r in CONTROLS[3].frames()),
         {"model": "random walk", "policy": "never"},
+        *({"model": "random walk", "r": 0.5, "N": 10, "particles": seed} for seed in (1, 2, 3)),
         *({"N": n, "particles": seed} for n in (10, 5000) for seed in CONTROLS[9].frames()),
     ),
     puzzles=PUZZLES,
