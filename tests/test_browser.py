@@ -148,7 +148,7 @@ DARK_TOO = {
 
 @pytest.mark.parametrize("path", pages_of_the_source())
 def test_page_is_sound_fits_every_screen_and_stands_in_nobodys_way(chromium, book, path):
-    """One visit: errors, other sites, mathematics, pictures and their words, three widths, axe-core; a page of each kind in the dark."""
+    """One visit: errors, other sites, formulas, pictures, three widths, axe-core; a page of each kind in the dark."""
     with reading(chromium, book, reduced_motion="reduce") as page:
         page.goto(book + path, wait_until="load")
         typeset(page)
