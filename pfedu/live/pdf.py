@@ -100,7 +100,7 @@ def print_book(folder, target, chromium=None):
     book = put_together(prints)
     book.add_metadata({"/Title": "Particle Filters, Alive", "/Author": "the pfedu authors"})
     Path(target).parent.mkdir(parents=True, exist_ok=True)
-    book.compress_identical_objects(remove_identicals=True, remove_orphans=True)
+    book.compress_identical_objects()
     book.write(target)
     return len(PdfReader(target).pages)
 
